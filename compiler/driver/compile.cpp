@@ -1,0 +1,425 @@
+#include "compiler/driver/compile.h"
+
+#include <algorithm>
+#include <cctype>
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <set>
+
+#include "compiler/cost/cost.h"
+#include "compiler/frontend/frontend.h"
+#include "compiler/memory/planner.h"
+#include "compiler/spirv/check.h"
+#include "compiler/spirv/glsl.h"
+#include "ir/base/hash.h"
+
+namespace shale {
+namespace {
+
+constexpr const char* kCompilerVersion = "shale 0.1.0";
+
+/// A graph output must be the result of a node of its own: constants, inputs and repeated outputs are
+/// copied.
+void give_outputs_nodes(Graph& graph) {
+  std::set<ValueId> seen(graph.inputs.begin(), graph.inputs.end());
+  for (ValueId& output : graph.outputs) {
+    if (!seen.contains(output) && !graph.value(output).is_constant()) {
+      seen.insert(output);
+      continue;
+    }
+    const Value value = graph.value(output);
+    output = graph.add_node(Op::kIdentity, {}, {output}, value.name, value.type);
+    seen.insert(output);
+  }
+}
+
+/// Weight blob under construction; equal tensors lie there once.
+class WeightBlob {
+ public:
+  uint64_t add(const std::vector<uint8_t>& bytes) {
+    const uint64_t hash = stable_hash(bytes);
+    const auto [first, last] = offsets_.equal_range(hash);
+    for (auto entry = first; entry != last; ++entry) {
+      const auto [offset, size] = entry->second;
+      if (size == bytes.size() && std::equal(bytes.begin(), bytes.end(), blob.begin() + static_cast<std::ptrdiff_t>(offset)))
+        return offset;
+    }
+    blob.resize((blob.size() + kBufferAlignment - 1) / kBufferAlignment * kBufferAlignment);
+    const uint64_t offset = blob.size();
+    blob.insert(blob.end(), bytes.begin(), bytes.end());
+    offsets_.emplace(hash, std::pair{offset, bytes.size()});
+    return offset;
+  }
+
+  std::vector<uint8_t> blob;
+
+ private:
+  std::multimap<uint64_t, std::pair<uint64_t, size_t>> offsets_;
+};
+
+/// Builds one variant of the package for one device profile.
+class VariantBuilder {
+ public:
+  VariantBuilder(const Graph& graph, const std::vector<GroupProblem>& problems, const DeviceProfile& profile,
+                 const CompileOptions& options, WeightBlob& blob, std::vector<std::string>& warnings)
+      : graph_(graph), problems_(problems), profile_(profile), options_(options), blob_(blob), warnings_(warnings) {
+    variant_.target = profile.name;
+  }
+
+  Result<Variant> build() {
+    for (const ValueId id : graph_.inputs) add_tensor(id, Category::kInput);
+    for (const ValueId id : graph_.outputs) add_tensor(id, Category::kOutput);
+    if (options_.frame) SHALE_TRY_VOID(add_frame_images());
+    if (options_.frame) {
+      for (const FramePass& pass : options_.frame->passes) {
+        if (pass.is_graph) SHALE_TRY_VOID(add_graph());
+        else SHALE_TRY_VOID(add_pass(pass));
+      }
+    } else {
+      SHALE_TRY_VOID(add_graph());
+    }
+    place_intermediates();
+    SHALE_TRY_VOID(add_requirements());
+    return std::move(variant_);
+  }
+
+  uint64_t arena_lower_bound_bytes() const { return lower_bound_; }
+
+ private:
+  uint32_t add_tensor(ValueId id, Category category) {
+    const auto found = resource_of_.find(id);
+    if (found != resource_of_.end()) return found->second;
+    const Value& value = graph_.value(id);
+    Resource resource;
+    resource.name = value.name;
+    resource.category = category;
+    resource.dtype = value.type.dtype;
+    resource.shape = value.type.shape;
+    resource.size_bytes = static_cast<uint64_t>(element_count(value.type.shape).value_or(0)) * dtype_info(value.type.dtype).host_bytes;
+    if (category == Category::kWeights) resource.offset_bytes = blob_.add(value.constant->bytes);
+    if (options_.frame)
+      for (const FrameTensor& tensor : options_.frame->tensors)
+        if (tensor.name == value.name) resource.quantization = tensor.quantization;
+    variant_.resources.push_back(std::move(resource));
+    const uint32_t index = static_cast<uint32_t>(variant_.resources.size() - 1);
+    resource_of_.emplace(id, index);
+    return index;
+  }
+
+  uint32_t tensor_of(ValueId id) {
+    return add_tensor(id, graph_.value(id).is_constant() ? Category::kWeights : Category::kIntermediate);
+  }
+
+  Result<uint32_t> add_module(const KernelSource& source, const Defines& defines, bool optimize, const std::string& where) {
+    std::string key = source.glsl;
+    for (const auto& [name, value] : defines) key += "\n" + name + "=" + value;
+    if (const auto found = module_of_source_.find(key); found != module_of_source_.end()) return found->second;
+    SHALE_TRY(Spirv words, compile_glsl(source.glsl, defines, where));
+    if (optimize && options_.optimize_spirv) {
+      SHALE_TRY(words, optimize_spirv(words, where));
+    }
+    SHALE_TRY_VOID(validate_spirv(words, where));
+    SHALE_TRY(const SpirvNeeds needs, spirv_needs(words, where));
+    Requirements& all = variant_.requirements;
+    all.features.bits |= needs.features.bits;
+    all.workgroup_invocations = std::max(all.workgroup_invocations, needs.workgroup_invocations);
+    const auto same = std::find(variant_.modules.begin(), variant_.modules.end(), words);
+    const uint32_t index = static_cast<uint32_t>(same - variant_.modules.begin());
+    if (same == variant_.modules.end()) variant_.modules.push_back(std::move(words));
+    module_of_source_.emplace(std::move(key), index);
+    return index;
+  }
+
+  Result<void> add_graph() {
+    Segment segment;
+    segment.name = "graph";
+    segment.kind = SegmentKind::kGraph;
+    for (size_t i = 0; i < problems_.size(); ++i) {
+      const GroupProblem& problem = problems_[i];
+      const std::string& name = graph_.value(problem.group.result).name;
+      const KernelFamily& family = select_kernel(problem, profile_, options_.kernels);
+      SHALE_TRY(const std::vector<KernelSource> sources, family.emit(problem, profile_));
+      const double time_us = family.time_us(problem, profile_);
+      for (size_t part = 0; part < sources.size(); ++part) {
+        const KernelSource& source = sources[part];
+        Dispatch dispatch;
+        dispatch.name = part == 0 ? name : fmt::format("{}#{}", name, part);
+        dispatch.kernel = family.name;
+        dispatch.workgroups = source.workgroups;
+        dispatch.cost = share(problem.cost, time_us, sources.size());
+        SHALE_TRY(dispatch.module, add_module(source, {}, source.optimize, dispatch.name));
+        for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
+          const KernelBinding& from = source.bindings[binding];
+          const bool is_texels = from.type == BindingType::kUniformTexelBuffer;
+          dispatch.bindings.push_back({.binding = binding,
+                                       .type = from.type,
+                                       .resource = tensor_of(from.value),
+                                       .view_format = is_texels ? from.view_format : ImageFormat::kNone,
+                                       .reads = !from.writes,
+                                       .writes = from.writes,
+                                       .frames_back = 0});
+          touch(from.value, static_cast<uint32_t>(dispatch_count_));
+        }
+        ++dispatch_count_;
+        segment.dispatches.push_back(std::move(dispatch));
+      }
+      if (problem.proof) add_proof(problem);
+      if (options_.progress && !options_.progress(i + 1, problems_.size())) return bad_input("", "interrupted");
+    }
+    variant_.segments.push_back(std::move(segment));
+    return {};
+  }
+
+  static Cost share(Cost cost, double time_us, size_t parts) {
+    cost.macs /= parts;
+    cost.ops /= parts;
+    cost.bytes_written /= parts;
+    cost.time_us = time_us / static_cast<double>(parts);
+    return cost;
+  }
+
+  void add_proof(const GroupProblem& problem) {
+    const std::string& name = graph_.value(graph_.node(*problem.group.head).output).name;
+    variant_.proofs.push_back({name, problem.proof->min, problem.proof->max, problem.proof->magnitude});
+  }
+
+  void touch(ValueId id, uint32_t dispatch) {
+    const auto [entry, is_new] = live_.try_emplace(id, LiveInterval{dispatch, dispatch, 0});
+    entry->second.last = dispatch;
+  }
+
+  void place_intermediates() {
+    std::vector<LiveInterval> intervals;
+    std::vector<uint32_t> resources;
+    for (const auto& [id, interval] : live_) {
+      const uint32_t resource = resource_of_.at(id);
+      if (variant_.resources[resource].category != Category::kIntermediate) continue;
+      intervals.push_back({interval.first, interval.last, variant_.resources[resource].size_bytes});
+      resources.push_back(resource);
+    }
+    const MemoryPlan plan = plan_memory(intervals, kBufferAlignment);
+    for (size_t i = 0; i < resources.size(); ++i) variant_.resources[resources[i]].offset_bytes = plan.offsets[i];
+    variant_.arena_bytes = plan.arena_bytes;
+    lower_bound_ = plan.lower_bound_bytes;
+  }
+
+  /// Height and width that image scales refer to: those of the first graph input.
+  Result<std::pair<double, double>> base_size() const {
+    if (graph_.inputs.empty() || graph_.value(graph_.inputs[0]).type.shape.size() != 4)
+      return bad_input("frame", "a sandwich needs a network whose first input is NHWC");
+    const Shape& shape = graph_.value(graph_.inputs[0]).type.shape;
+    return std::pair{static_cast<double>(shape[1]), static_cast<double>(shape[2])};
+  }
+
+  Result<void> add_frame_images() {
+    SHALE_TRY(const auto base, base_size());
+    std::set<std::string> names;
+    for (const Resource& resource : variant_.resources) names.insert(resource.name);
+    for (const FrameImage& image : options_.frame->images) {
+      if (!names.insert(image.name).second) return bad_input("frame.images", "the name \"{}\" is used twice", image.name);
+      Resource resource;
+      resource.name = image.name;
+      resource.category = image.category;
+      resource.format = image.format;
+      resource.height = static_cast<uint32_t>(std::lround(base.first * image.scale));
+      resource.width = static_cast<uint32_t>(std::lround(base.second * image.scale));
+      resource.history_depth = image.history_depth;
+      if (resource.height < 1 || resource.width < 1 || resource.height > 16384 || resource.width > 16384)
+        return bad_input("frame.images", "image \"{}\" would have {}x{} pixels, expected 1 to 16384 a side", image.name,
+                         resource.width, resource.height);
+      variant_.resources.push_back(std::move(resource));
+    }
+    return {};
+  }
+
+  /// Sizes and quantization of every image, input and output, under their upper-case names.
+  Defines frame_defines() const {
+    Defines defines;
+    for (const Resource& resource : variant_.resources) {
+      if (resource.category == Category::kWeights || resource.category == Category::kIntermediate) continue;
+      std::string name;
+      for (const char c : resource.name)
+        name += std::isalnum(static_cast<unsigned char>(c)) != 0 ? static_cast<char>(std::toupper(static_cast<unsigned char>(c))) : '_';
+      if (is_image(resource.category)) {
+        defines.emplace_back(name + "_WIDTH", std::to_string(resource.width));
+        defines.emplace_back(name + "_HEIGHT", std::to_string(resource.height));
+        continue;
+      }
+      if (resource.shape.size() != 4) continue;
+      defines.emplace_back(name + "_HEIGHT", std::to_string(resource.shape[1]));
+      defines.emplace_back(name + "_WIDTH", std::to_string(resource.shape[2]));
+      defines.emplace_back(name + "_CHANNELS", std::to_string(resource.shape[3]));
+      if (!resource.quantization) continue;
+      defines.emplace_back(name + "_SCALE", fmt::format("{:.9e}", resource.quantization->scale));
+      defines.emplace_back(name + "_ZERO_POINT", fmt::format("({})", resource.quantization->zero_point));
+    }
+    return defines;
+  }
+
+  Result<uint32_t> find_resource(const std::string& name, bool wants_image, const std::string& where) const {
+    for (uint32_t i = 0; i < variant_.resources.size(); ++i) {
+      const Resource& resource = variant_.resources[i];
+      if (resource.name == name && is_image(resource.category) == wants_image) return i;
+    }
+    return bad_input(where, "there is no {} \"{}\"", wants_image ? "image" : "graph input or output", name);
+  }
+
+  Result<void> add_pass(const FramePass& pass) {
+    const std::string where = "pass \"" + pass.name + "\"";
+    SHALE_TRY(const uint32_t over, find_resource(pass.over, true, where));
+    Dispatch dispatch;
+    dispatch.name = pass.name;
+    dispatch.kernel = "pass";
+    dispatch.workgroups = {(variant_.resources[over].width + pass.workgroup[0] - 1) / pass.workgroup[0],
+                           (variant_.resources[over].height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+    for (const FrameBinding& from : pass.bindings) {
+      SHALE_TRY(const uint32_t index, find_resource(from.name, from.is_image, where));
+      const Resource& resource = variant_.resources[index];
+      if (from.writes && (resource.category == Category::kImageInput || resource.category == Category::kOutput))
+        return bad_input(where, "writes \"{}\", which is an input of the pass", from.name);
+      if (from.frames_back >= std::max(resource.history_depth, 1u))
+        return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name, from.frames_back,
+                         resource.history_depth);
+      const BindingType type = !from.is_image ? BindingType::kStorageBuffer
+                               : from.writes  ? BindingType::kStorageImage
+                                              : BindingType::kSampledImage;
+      dispatch.bindings.push_back({from.binding, type, index, ImageFormat::kNone, from.reads, from.writes, from.frames_back});
+      if (is_image(resource.category)) {
+        const uint64_t bytes = uint64_t{resource.width} * resource.height * image_format_info(resource.format).texel_bytes;
+        (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) += bytes;
+      } else {
+        (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) += resource.size_bytes;
+      }
+    }
+    dispatch.cost.time_us =
+        1e-3 * static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) / profile_.bandwidth_gbps +
+        profile_.launch_us;
+    SHALE_TRY(KernelSource source, [&]() -> Result<KernelSource> {
+      SHALE_TRY(std::string text, options_.load_shader(pass.shader));
+      KernelSource kernel;
+      kernel.glsl = std::move(text);
+      return kernel;
+    }());
+    Defines defines = frame_defines();
+    defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
+    defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));
+    SHALE_TRY(dispatch.module, add_module(source, defines, true, pass.shader));
+    Segment segment;
+    segment.name = pass.name;
+    segment.kind = SegmentKind::kCompute;
+    segment.dispatches.push_back(std::move(dispatch));
+    variant_.segments.push_back(std::move(segment));
+    return {};
+  }
+
+  Result<void> add_requirements() {
+    Requirements& needs = variant_.requirements;
+    for (const Segment& segment : variant_.segments) {
+      for (const Dispatch& dispatch : segment.dispatches) {
+        uint32_t storage = 0, texels = 0;
+        for (const Binding& binding : dispatch.bindings) {
+          const Resource& resource = variant_.resources[binding.resource];
+          if (binding.type == BindingType::kStorageBuffer) {
+            ++storage;
+            needs.storage_range_bytes = std::max(needs.storage_range_bytes, bound_bytes(resource));
+          } else if (binding.type == BindingType::kUniformTexelBuffer) {
+            ++texels;
+            needs.texel_elements =
+                std::max(needs.texel_elements, resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
+          }
+        }
+        needs.storage_buffers = std::max(needs.storage_buffers, storage);
+        needs.texel_buffers = std::max(needs.texel_buffers, texels);
+      }
+    }
+    for (const std::string& line : missing(profile_.caps, needs))
+      warnings_.push_back(fmt::format("target {}: {}", profile_.name, line));
+    return {};
+  }
+
+  const Graph& graph_;
+  const std::vector<GroupProblem>& problems_;
+  const DeviceProfile& profile_;
+  const CompileOptions& options_;
+  WeightBlob& blob_;
+  std::vector<std::string>& warnings_;
+  Variant variant_;
+  std::map<ValueId, uint32_t> resource_of_;
+  std::map<ValueId, LiveInterval> live_;
+  std::map<std::string, uint32_t> module_of_source_;
+  size_t dispatch_count_ = 0;
+  uint64_t lower_bound_ = 0;
+};
+
+/// Names the first channels whose accumulator may leave int32; nothing if all are proven.
+std::optional<std::string> unproven(const Graph& graph, const GroupProblem& problem) {
+  if (!problem.group.head) return std::nullopt;
+  const Node& node = graph.node(*problem.group.head);
+  if (graph.value(node.output).type.dtype != DType::kInt32) return std::nullopt;
+  if (node.op != Op::kConv2d && node.op != Op::kConv3d && node.op != Op::kDepthwiseConv2d && node.op != Op::kTransposeConv2d)
+    return std::nullopt;
+  const std::string label = node_label(graph, *problem.group.head);
+  if (!problem.proof) return label + ": weights or bias are no constants, so its accumulators cannot be bounded";
+  const IntRange range = dtype_range(DType::kInt32);
+  for (size_t c = 0; c < problem.proof->min.size(); ++c)
+    if (problem.proof->min[c] < range.min || problem.proof->max[c] > range.max)
+      return fmt::format("{}: channel {} may leave int32: its accumulator is only known to lie in {}..{}", label, c,
+                         problem.proof->min[c], problem.proof->max[c]);
+  return std::nullopt;
+}
+
+std::string options_text(const CompileOptions& options) {
+  std::string text = fmt::format("optimize={} kernels=[{}] spirv_opt={}", options.pass_options.optimize,
+                                 fmt::join(options.kernels, ","), options.optimize_spirv);
+  for (const auto& [name, shape] : options.passes.input_shapes) text += fmt::format(" {}={}", name, shape_text(shape));
+  return text;
+}
+
+}  // namespace
+
+Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options) {
+  SHALE_TRY(Graph graph, import_model(model));
+  return compile_graph(std::move(graph), stable_hash(model), options);
+}
+
+Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& options) {
+  Compiled compiled;
+  SHALE_TRY(compiled.timings, run_pipeline(graph, options.passes, options.pass_options));
+  give_outputs_nodes(graph);
+
+  std::vector<GroupProblem> problems;
+  for (Group& group : collect_groups(graph)) {
+    GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
+    problem.proof = prove_ranges(graph, problem.group);
+    problem.cost = group_cost(graph, problem.group);
+    if (const std::optional<std::string> message = unproven(graph, problem)) {
+      if (options.require_proof) return bad_input("--require-proof", "{}", *message);
+      compiled.warnings.push_back(*message);
+    }
+    problems.push_back(std::move(problem));
+  }
+
+  const auto start = std::chrono::steady_clock::now();
+  WeightBlob blob;
+  for (const std::string& target : options.targets) {
+    const DeviceProfile* profile = find_profile(target);
+    if (!profile) {
+      std::string known;
+      for (const DeviceProfile& each : known_profiles()) known += (known.empty() ? "" : ", ") + std::string(each.name);
+      return bad_input("--target", "\"{}\" is unknown, expected one of: {}", target, known);
+    }
+    VariantBuilder builder(graph, problems, *profile, options, blob, compiled.warnings);
+    SHALE_TRY(Variant variant, builder.build());
+    compiled.arena_lower_bound_bytes = std::max(compiled.arena_lower_bound_bytes, builder.arena_lower_bound_bytes());
+    compiled.package.variants.push_back(std::move(variant));
+  }
+  const std::chrono::duration<double, std::milli> elapsed = std::chrono::steady_clock::now() - start;
+  compiled.kernels_ms = elapsed.count();
+  compiled.package.provenance = {model_hash, options.model_name, kCompilerVersion, options_text(options)};
+  compiled.package.weights = std::move(blob.blob);
+  compiled.graph = std::move(graph);
+  return compiled;
+}
+
+}  // namespace shale

@@ -1,0 +1,46 @@
+// compiler/driver/compile.h -- the library's one front door: a model file to a package.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "compiler/driver/frame.h"
+#include "compiler/kernels/kernel.h"
+#include "compiler/passes/pass.h"
+#include "ir/package/package.h"
+
+namespace shale {
+
+struct CompileOptions {
+  std::vector<std::string> targets{"lavapipe"};  ///< a variant each, names of known_profiles()
+  PassContext passes;
+  PassOptions pass_options;
+  std::vector<std::string> kernels;   ///< families to choose from; empty is all. "generic" always may serve
+  bool require_proof = false;         ///< an unproven accumulator is an error, not a warning
+  bool optimize_spirv = true;
+  std::optional<Frame> frame;         ///< with it the package holds pre and post passes too
+  ShaderLoader load_shader;           ///< needed with `frame`
+  std::string model_name = "model";
+  /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
+  std::function<bool(size_t done, size_t total)> progress;
+};
+
+struct Compiled {
+  Package package;
+  Graph graph;                        ///< after the passes, groups set
+  std::vector<std::string> warnings;
+  std::vector<PassTiming> timings;
+  uint64_t arena_lower_bound_bytes = 0;
+  double kernels_ms = 0;              ///< time in code generation and SPIR-V
+};
+
+/// The same input and options give the same bytes. Errors: those of every step.
+Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options);
+
+/// As above, from a graph; `model_hash` goes into the provenance.
+Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& options);
+
+}  // namespace shale

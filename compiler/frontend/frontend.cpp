@@ -1,0 +1,52 @@
+#include "compiler/frontend/frontend.h"
+
+#include "ir/binary/tosa.h"
+#include "ir/text/text.h"
+
+namespace shale {
+namespace {
+
+/// The text form begins with the word graph, after spaces and comments.
+bool is_text_graph(std::span<const uint8_t> bytes) {
+  std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  for (;;) {
+    const size_t start = text.find_first_not_of(" \t\r\n");
+    if (start == std::string_view::npos) return false;
+    text.remove_prefix(start);
+    if (text[0] != '#') return text.starts_with("graph");
+    const size_t end = text.find('\n');
+    if (end == std::string_view::npos) return false;
+    text.remove_prefix(end);
+  }
+}
+
+Result<Graph> import_text(std::span<const uint8_t> bytes) {
+  return parse_text({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+}
+
+struct Frontend {
+  std::string_view name;
+  bool (*recognizes)(std::span<const uint8_t>);
+  Result<Graph> (*import)(std::span<const uint8_t>);
+};
+
+constexpr Frontend kFrontends[] = {
+#define SHALE_FRONTEND(name, recognizes, import) {name, recognizes, import},
+#include "compiler/frontend/frontends.def"
+};
+
+}  // namespace
+
+std::string_view model_format(std::span<const uint8_t> bytes) {
+  for (const Frontend& frontend : kFrontends)
+    if (frontend.recognizes(bytes)) return frontend.name;
+  return {};
+}
+
+Result<Graph> import_model(std::span<const uint8_t> bytes) {
+  for (const Frontend& frontend : kFrontends)
+    if (frontend.recognizes(bytes)) return frontend.import(bytes);
+  return bad_input("", "is no model: found neither the TOSA identifier at offset 4 nor the text form ({} bytes)", bytes.size());
+}
+
+}  // namespace shale

@@ -1,0 +1,318 @@
+#include "compiler/kernels/codegen.h"
+
+#include <algorithm>
+#include <charconv>
+
+namespace shale {
+namespace {
+
+std::optional<int64_t> as_number(const std::string& text) {
+  int64_t value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
+
+const char* memory_type(DType dtype) {
+  switch (dtype) {
+    case DType::kInt16: return "int16_t";
+    case DType::kInt32: return "int";
+    case DType::kInt48: return "int64_t";
+    default: return "int8_t";
+  }
+}
+
+/// Keeps the low `bits` of an int, sign extended.
+std::string narrow(const std::string& expression, DType dtype) {
+  const uint32_t bits = dtype_info(dtype).bits;
+  return bits >= 32 ? expression : fmt::format("bitfieldExtract({}, 0, {})", expression, bits);
+}
+
+}  // namespace
+
+Codegen::Codegen(const GroupProblem& problem)
+    : problem_(problem), graph_(*problem.graph), producers_(graph_.producers()) {}
+
+std::string Codegen::literal(int64_t value, DType dtype) {
+  if (dtype == DType::kInt48) return fmt::format("int64_t({}l)", value);
+  if (value == INT32_MIN) return "int(0x80000000u)";
+  return value < 0 ? fmt::format("({})", value) : std::to_string(value);
+}
+
+std::string Codegen::linear(const Position& at, const Shape& shape) {
+  if (!at.linear.empty()) return at.linear;
+  std::string text;
+  for (size_t i = 0; i < shape.size(); ++i) {
+    if (shape[i] == 1) continue;
+    text = text.empty() ? at.coords[i] : fmt::format("({} * {} + {})", text, shape[i], at.coords[i]);
+  }
+  return text.empty() ? "0" : text;
+}
+
+Position Codegen::split(const std::string& index, const Shape& shape) {
+  Position at{std::vector<std::string>(shape.size(), "0"), index};
+  int64_t stride = 1;
+  for (size_t i = shape.size(); i-- > 0;) {
+    if (shape[i] == 1) continue;
+    const std::string quotient = stride == 1 ? index : fmt::format("({} / {})", index, stride);
+    const bool outermost = std::all_of(shape.begin(), shape.begin() + static_cast<std::ptrdiff_t>(i),
+                                       [](int64_t d) { return d == 1; });
+    at.coords[i] = outermost ? quotient : fmt::format("({} % {})", quotient, shape[i]);
+    stride *= shape[i];
+  }
+  return at;
+}
+
+size_t Codegen::bind(ValueId id, BindingType type, ImageFormat format, bool writes) {
+  const auto [entry, is_new] = binding_of_.try_emplace({id, type, format}, bindings_.size());
+  if (is_new) bindings_.push_back({id, type, format, writes});
+  if (value(id).type.dtype == DType::kInt48) int64_ = true;
+  return entry->second;
+}
+
+std::string Codegen::load(ValueId id, const Position& at) {
+  if (const auto local = locals_.find(id); local != locals_.end()) return local->second;
+  const Value& source = value(id);
+  if (source.is_constant()) {
+    // A constant at a position that is known now is a literal.
+    if (source.constant->count() == 1) return literal(source.constant->get(0), source.type.dtype);
+    int64_t index = 0;
+    bool known = at.coords.size() == source.type.shape.size();
+    for (size_t i = 0; known && i < at.coords.size(); ++i) {
+      const std::optional<int64_t> coord = as_number(at.coords[i]);
+      known = coord.has_value();
+      index = index * source.type.shape[i] + coord.value_or(0);
+    }
+    if (known) return literal(source.constant->get(index), source.type.dtype);
+  }
+  const std::optional<NodeId> producer = producers_[id.index];
+  if (producer && problem_.group.contains(*producer) && op_kind(graph_.node(*producer)) == OpKind::kView) {
+    auto function = view_functions_.find(id);
+    if (function == view_functions_.end()) {
+      const std::string name = fmt::format("view{}", id.index);
+      function = view_functions_.emplace(id, name).first;
+      Position formal;
+      std::string parameters;
+      for (size_t i = 0; i < source.type.shape.size(); ++i) {
+        formal.coords.push_back(fmt::format("i{}", i));
+        parameters += fmt::format("{}int i{}", i > 0 ? ", " : "", i);
+      }
+      const std::string body = view(graph_.node(*producer), formal);
+      functions_ += fmt::format("{} {}({}) {{ return {}; }}\n\n", register_type(source.type.dtype), name,
+                                parameters, body);
+    }
+    const Position& full = at.coords.size() == source.type.shape.size() ? at : split(at.linear, source.type.shape);
+    return fmt::format("{}({})", function->second, fmt::join(full.coords, ", "));
+  }
+  const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, false);
+  return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding, linear(at, source.type.shape));
+}
+
+std::string Codegen::operand(const Node& node, size_t index, const Position& at) {
+  const ValueId id = node.inputs[index];
+  const Shape& from = value(id).type.shape;
+  const Shape& to = value(node.output).type.shape;
+  if (from == to) return load(id, at);
+  Position own{at.coords, {}};
+  for (size_t i = 0; i < from.size(); ++i)
+    if (from[i] == 1) own.coords[i] = "0";
+  return load(id, own);
+}
+
+std::string Codegen::store(ValueId id, const Position& at, const std::string& expression) {
+  const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, true);
+  const TensorType& type = value(id).type;
+  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape), memory_type(type.dtype), expression);
+}
+
+std::string Codegen::elementwise(const Node& node, const Position& at) {
+  const DType out = value(node.output).type.dtype;
+  const std::string a = operand(node, 0, at);
+  const auto b = [&] { return operand(node, 1, at); };
+  const auto binary = [&](const char* symbol) { return fmt::format("({} {} {})", a, symbol, b()); };
+  const auto compare = [&](const char* symbol) { return fmt::format("int({} {} {})", a, symbol, b()); };
+  const auto constant = [&](size_t index) { return value(node.inputs[index]).constant->get(0); };
+  switch (node.op) {
+    case Op::kAdd: return binary("+");
+    case Op::kSub: return binary("-");
+    case Op::kBitwiseAnd:
+    case Op::kLogicalAnd: return binary("&");
+    case Op::kBitwiseOr:
+    case Op::kLogicalOr: return binary("|");
+    case Op::kBitwiseXor:
+    case Op::kLogicalXor: return binary("^");
+    case Op::kBitwiseNot: return fmt::format("(~{})", a);
+    case Op::kLogicalNot: return fmt::format("({} ^ 1)", a);
+    case Op::kMaximum: return fmt::format("max({}, {})", a, b());
+    case Op::kMinimum: return fmt::format("min({}, {})", a, b());
+    case Op::kEqual: return compare("==");
+    case Op::kGreater: return compare(">");
+    case Op::kGreaterEqual: return compare(">=");
+    case Op::kAbs: return fmt::format("abs({})", a);
+    case Op::kClz: return fmt::format("(31 - findMSB(uint({})))", a);
+    case Op::kIntDiv: return fmt::format("divide({}, {})", a, b());
+    case Op::kSelect: return fmt::format("({} != 0 ? {} : {})", a, b(), operand(node, 2, at));
+    case Op::kLogicalLeftShift: return narrow(binary("<<"), out);
+    case Op::kLogicalRightShift: {
+      const uint32_t bits = dtype_info(out).bits;
+      const std::string pattern = bits == 32 ? fmt::format("uint({})", a)
+                                             : fmt::format("(uint({}) & {}u)", a, (1u << bits) - 1);
+      return narrow(fmt::format("int({} >> {})", pattern, b()), out);
+    }
+    case Op::kArithmeticRightShift:
+      return node.attrs.flag(Attr::kRound) ? fmt::format("shift_round({}, {})", a, b()) : binary(">>");
+    case Op::kMul: {
+      const int64_t shift = constant(2);
+      if (shift == 0) return binary("*");
+      return fmt::format("multiply_round({}, {}, {})", a, b(), shift);
+    }
+    case Op::kCast:
+      if (out == DType::kBool) return fmt::format("int({} != 0)", a);
+      return narrow(a, out);
+    case Op::kClamp:
+      return fmt::format("clamp({}, {}, {})", a, literal(node.attrs.get(Attr::kMinVal)),
+                         literal(node.attrs.get(Attr::kMaxVal)));
+    case Op::kNegate: {
+      const std::string negated =
+          fmt::format("({} - ({} - {}))", literal(constant(2)), a, literal(constant(1)));
+      if (out == DType::kInt32) return negated;
+      const IntRange range = dtype_range(out);
+      return fmt::format("clamp({}, {}, {})", negated, range.min, range.max);
+    }
+    case Op::kTable: {
+      const auto entry = [&](const std::string& index) { return load(node.inputs[1], {{index}, {}}); };
+      if (value(node.inputs[0]).type.dtype == DType::kInt8) return entry(fmt::format("{} + 128", a));
+      const std::string low = entry(fmt::format("({} >> 7) + 256", a));
+      const std::string high = entry(fmt::format("({} >> 7) + 257", a));
+      return fmt::format("({0} * 128 + ({1} - {0}) * ({2} & 127))", low, high, a);
+    }
+    case Op::kRescale: {
+      const Tensor& multiplier = *value(node.inputs[1]).constant;
+      const Position channel{{multiplier.count() == 1 ? "0" : at.coords.back()}, {}};
+      const std::string m = load(node.inputs[1], channel);
+      const std::string s = load(node.inputs[2], channel);
+      const auto unsigned_value = [](int64_t v, DType dtype) {
+        return v & ((int64_t{1} << dtype_info(dtype).bits) - 1);
+      };
+      const DType in = value(node.inputs[0]).type.dtype;
+      const bool in_unsigned = node.attrs.flag(Attr::kInputUnsigned);
+      const bool out_unsigned = node.attrs.flag(Attr::kOutputUnsigned);
+      const int64_t in_zp = in_unsigned ? unsigned_value(constant(3), in) : constant(3);
+      const int64_t out_zp = out_unsigned ? unsigned_value(constant(4), out) : constant(4);
+      std::string v = in_unsigned ? fmt::format("({} & {})", a, (1 << dtype_info(in).bits) - 1) : a;
+      if (in_zp != 0) v = fmt::format("({} - {})", v, literal(in_zp));
+      const bool double_round = node.attrs.get(Attr::kRoundingMode) == kDoubleRound;
+      std::string r = in == DType::kInt48
+                          ? fmt::format("apply_scale_48({}, {}, {})", v, m, s)
+                          : fmt::format("scale_round({}, {}, {}, {})", v, m, s, double_round);
+      if (out_zp != 0) r = fmt::format("({} + {})", r, literal(out_zp));
+      if (out == DType::kInt32) return r;
+      const IntRange range = dtype_range(out);
+      if (!out_unsigned) return fmt::format("clamp({}, {}, {})", r, range.min, range.max);
+      return narrow(fmt::format("clamp({}, 0, {})", r, range.max - range.min), out);
+    }
+    default: break;
+  }
+  SHALE_CHECK(false && "no elementwise operator");
+}
+
+std::string Codegen::view(const Node& node, const Position& at) {
+  const ValueId source = node.inputs[0];
+  const Shape& from = value(source).type.shape;
+  const Shape& to = value(node.output).type.shape;
+  const auto ints = [&](size_t index) { return value(node.inputs[index]).constant->ints(); };
+  Position mapped{at.coords, {}};
+  switch (node.op) {
+    case Op::kIdentity: return load(source, at);
+    case Op::kReshape: {
+      const std::string index = linear(at, to);
+      return load(source, split("(" + index + ")", from));
+    }
+    case Op::kTranspose: {
+      const std::span<const int64_t> perms = node.attrs.list(Attr::kPerms);
+      for (size_t i = 0; i < perms.size(); ++i) mapped.coords[static_cast<size_t>(perms[i])] = at.coords[i];
+      return load(source, mapped);
+    }
+    case Op::kReverse: {
+      const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
+      mapped.coords[axis] = fmt::format("({} - {})", from[axis] - 1, at.coords[axis]);
+      return load(source, mapped);
+    }
+    case Op::kSlice: {
+      const std::vector<int64_t> start = ints(1);
+      for (size_t i = 0; i < from.size(); ++i)
+        if (start[i] != 0) mapped.coords[i] = fmt::format("({} + {})", at.coords[i], start[i]);
+      return load(source, mapped);
+    }
+    case Op::kTile:
+      for (size_t i = 0; i < from.size(); ++i)
+        if (from[i] != to[i]) mapped.coords[i] = fmt::format("({} % {})", at.coords[i], from[i]);
+      return load(source, mapped);
+    case Op::kPad: {
+      const std::vector<int64_t> padding = ints(1);
+      std::string inside;
+      for (size_t i = 0; i < from.size(); ++i) {
+        if (padding[2 * i] == 0 && padding[2 * i + 1] == 0) continue;
+        mapped.coords[i] = fmt::format("({} - {})", at.coords[i], padding[2 * i]);
+        inside += fmt::format("{}uint({}) < {}u", inside.empty() ? "" : " && ", mapped.coords[i], from[i]);
+      }
+      const std::string element = load(source, mapped);
+      if (inside.empty()) return element;
+      return fmt::format("(({}) ? {} : {})", inside, element, load(node.inputs[2], {{"0"}, "0"}));
+    }
+    case Op::kConcat: {
+      const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
+      int64_t end = to[axis];
+      std::string text;
+      for (size_t i = node.inputs.size(); i-- > 0;) {
+        const int64_t begin = end - value(node.inputs[i]).type.shape[axis];
+        mapped.coords[axis] = begin == 0 ? at.coords[axis] : fmt::format("({} - {})", at.coords[axis], begin);
+        const std::string part = load(node.inputs[i], mapped);
+        text = text.empty() ? part : fmt::format("({} < {} ? {} : {})", at.coords[axis], end, part, text);
+        end = begin;
+      }
+      return text;
+    }
+    case Op::kResize: {
+      const std::vector<int64_t> scale = ints(1), offset = ints(2);
+      for (size_t axis = 0; axis < 2; ++axis)
+        mapped.coords[axis + 1] = fmt::format("nearest({}, {}, {}, {}, {})", at.coords[axis + 1], scale[2 * axis],
+                                              scale[2 * axis + 1], literal(offset[axis]), from[axis + 1]);
+      return load(source, mapped);
+    }
+    default: break;
+  }
+  SHALE_CHECK(false && "no view operator");
+}
+
+void Codegen::epilogue(std::string& body, const Position& at, const std::string& suffix) {
+  for (const NodeId id : problem_.group.nodes) {
+    const Node& node = graph_.node(id);
+    if (op_kind(node) != OpKind::kElementwise) continue;
+    const std::string local = fmt::format("e{}{}", node.output.index, suffix);
+    body += fmt::format("  {} {} = {};\n", register_type(value(node.output).type.dtype), local,
+                        elementwise(node, at));
+    locals_[node.output] = local;
+  }
+}
+
+std::string Codegen::finish(const std::string& local_size, const std::string& body) const {
+  std::string text = "#version 450\n#include \"int8.glsl\"\n#include \"requantize.glsl\"\n";
+  text += "#include \"integer.glsl\"\n";
+  if (int64_) text += "#include \"int64.glsl\"\n";
+  text += fmt::format("\nlayout({}) in;\n\n", local_size);
+  for (size_t i = 0; i < bindings_.size(); ++i) {
+    const KernelBinding& binding = bindings_[i];
+    if (binding.type == BindingType::kUniformTexelBuffer) {
+      text += fmt::format("layout(set = 0, binding = {0}) uniform isamplerBuffer t{0};\n", i);
+    } else {
+      const bool words = binding.type == BindingType::kStorageBuffer && binding.view_format == ImageFormat::kRgba8Sint;
+      text += fmt::format("layout(set = 0, binding = {0}, std430) {1} buffer B{0} {{ {2} d[]; }} b{0};\n", i,
+                          binding.writes ? "writeonly" : "readonly",
+                          words ? "uint" : memory_type(value(binding.value).type.dtype));
+    }
+  }
+  return text + "\n" + functions_ + "void main() {\n" + body + "}\n";
+}
+
+}  // namespace shale

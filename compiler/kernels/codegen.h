@@ -1,0 +1,81 @@
+// compiler/kernels/codegen.h -- GLSL for the nodes of a group, shared by all kernel families.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "compiler/kernels/kernel.h"
+
+namespace shale {
+
+/// Where an element is: one GLSL expression per dimension, and the row-major index if somebody has it.
+struct Position {
+  std::vector<std::string> coords;
+  std::string linear;  ///< empty if it has to be computed
+};
+
+/// Turns nodes into GLSL expressions. Registers hold BOOL, INT4, INT8, INT16 and INT32 as `int`, INT48 as
+/// `int64_t`. Values of the group that are computed already are found in `locals`.
+class Codegen {
+ public:
+  explicit Codegen(const GroupProblem& problem);
+
+  const Graph& graph() const { return graph_; }
+  const Value& value(ValueId id) const { return graph_.value(id); }
+
+  /// The binding number of a buffer value; declares it on first use.
+  size_t bind(ValueId id, BindingType type, ImageFormat format, bool writes);
+
+  /// Expression for one element of a value: a local, a literal, a call into a folded view, or a load.
+  /// `at` is a position in the value's own shape.
+  std::string load(ValueId id, const Position& at);
+
+  /// The operand of an elementwise node at a position of the node's result, broadcast applied.
+  std::string operand(const Node& node, size_t index, const Position& at);
+
+  /// Expression of an elementwise node; its in-group operands must be in locals().
+  std::string elementwise(const Node& node, const Position& at);
+
+  /// Appends the elementwise nodes after the head to `body`, in order; `at` is a position of the group's
+  /// result. `suffix` keeps locals of unrolled copies apart.
+  void epilogue(std::string& body, const Position& at, const std::string& suffix);
+
+  /// Stores `expression` as an element of the group's result.
+  std::string store(ValueId id, const Position& at, const std::string& expression);
+
+  /// Expression of one element of a view node's result (coordinates in `at`), before folding.
+  std::string view(const Node& node, const Position& at);
+
+  std::map<ValueId, std::string>& locals() { return locals_; }
+
+  /// `#version`, extensions, includes, buffers, functions, then main with `body`.
+  std::string finish(const std::string& local_size, const std::string& body) const;
+
+  std::vector<KernelBinding> bindings() const { return bindings_; }
+  void use_int64() { int64_ = true; }
+  /// A declaration to appear before main.
+  void add_function(std::string text) { functions_ += std::move(text); }
+
+  /// Row-major index expression of a position in `shape`.
+  static std::string linear(const Position& at, const Shape& shape);
+  /// Position from a row-major index expression.
+  static Position split(const std::string& index, const Shape& shape);
+  /// GLSL type of a register.
+  static const char* register_type(DType dtype) { return dtype == DType::kInt48 ? "int64_t" : "int"; }
+  /// A decimal literal that GLSL accepts, the most negative int included.
+  static std::string literal(int64_t value, DType dtype = DType::kInt32);
+
+ private:
+  const GroupProblem& problem_;
+  const Graph& graph_;
+  std::vector<std::optional<NodeId>> producers_;
+  std::map<ValueId, std::string> locals_;
+  std::vector<KernelBinding> bindings_;
+  std::map<std::tuple<ValueId, BindingType, ImageFormat>, size_t> binding_of_;
+  std::map<ValueId, std::string> view_functions_;
+  std::string functions_;
+  bool int64_ = false;
+};
+
+}  // namespace shale

@@ -1,0 +1,243 @@
+// generic: one invocation per result element, storage buffers; takes every group. The executable
+// fallback, and the naive kernel that the fast ones are measured against.
+#include <algorithm>
+
+#include "compiler/kernels/codegen.h"
+
+namespace shale {
+namespace {
+
+constexpr int64_t kLocalSize = 64;
+constexpr int64_t kMaxGroupsX = 65535;  // Vulkan's guaranteed maxComputeWorkGroupCount
+
+/// Code that leaves the head's result in the local `h`.
+class HeadEmitter {
+ public:
+  HeadEmitter(Codegen& codegen, const Node& node, const Position& at) : c_(codegen), node_(node), at_(at) {}
+
+  std::string emit() {
+    switch (node_.op) {
+      case Op::kConv2d:
+      case Op::kConv3d:
+      case Op::kDepthwiseConv2d:
+      case Op::kTransposeConv2d: return convolution();
+      case Op::kMatmul: return matmul();
+      case Op::kAvgPool2d:
+      case Op::kMaxPool2d: return pool();
+      case Op::kResize: return bilinear();
+      case Op::kGather: return gather();
+      case Op::kScatter: return scatter();
+      case Op::kArgmax: return argmax();
+      default: return reduce();
+    }
+  }
+
+ private:
+  const Shape& shape(size_t operand) const { return c_.value(node_.inputs[operand]).type.shape; }
+  DType result() const { return c_.value(node_.output).type.dtype; }
+  const char* accumulator() const { return Codegen::register_type(result()); }
+  std::string load(size_t operand, std::vector<std::string> coords) {
+    return c_.load(node_.inputs[operand], {std::move(coords), {}});
+  }
+  /// `(x - zp)`, or x alone where the zero point is 0.
+  std::string centred(size_t operand, std::vector<std::string> coords, size_t zp_operand) {
+    const int64_t zp = c_.value(node_.inputs[zp_operand]).constant->get(0);
+    const std::string x = load(operand, std::move(coords));
+    return zp == 0 ? x : fmt::format("({} - {})", x, Codegen::literal(zp));
+  }
+  static std::string loop(const std::string& name, int64_t count, const std::string& inner) {
+    return fmt::format("  for (int {0} = 0; {0} < {1}; ++{0}) {{\n{2}  }}\n", name, count, inner);
+  }
+
+  /// The four convolutions differ in how a tap finds its input and its weight.
+  std::string convolution() {
+    const Shape& in = shape(0);
+    const Shape& weight = shape(1);
+    const bool depthwise = node_.op == Op::kDepthwiseConv2d;
+    const bool transpose = node_.op == Op::kTransposeConv2d;
+    const size_t axes = node_.op == Op::kConv3d ? 3 : 2;
+    const size_t first_kernel_axis = depthwise ? 0 : 1;
+    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
+    const std::span<const int64_t> dilation = node_.attrs.list(Attr::kDilation);
+    const std::span<const int64_t> pad = node_.attrs.list(transpose ? Attr::kOutPad : Attr::kPad);
+    const std::string& oc = at_.coords.back();
+
+    std::vector<std::string> in_at{at_.coords[0]};
+    std::vector<std::string> tap;
+    for (size_t axis = 0; axis < axes; ++axis) {
+      in_at.push_back(fmt::format("p{}", axis));
+      tap.push_back(fmt::format("k{}", axis));
+    }
+    std::string product;
+    const char* widen = result() == DType::kInt48 ? "int64_t" : "int";
+    if (depthwise) {
+      const int64_t multiplier = weight[3];
+      in_at.push_back(fmt::format("({} / {})", oc, multiplier));
+      tap.push_back(fmt::format("({} / {})", oc, multiplier));
+      tap.push_back(fmt::format("({} % {})", oc, multiplier));
+    } else {
+      in_at.push_back("c");
+      tap.insert(tap.begin(), oc);
+      tap.push_back("c");
+    }
+    product = fmt::format("    acc += {}({}) * {};\n", widen, centred(0, in_at, 3), centred(1, tap, 4));
+    std::string code = depthwise ? product : loop("c", weight.back(), product);
+    for (size_t axis = axes; axis-- > 0;) {
+      const std::string& out = at_.coords[axis + 1];
+      std::string position;
+      if (transpose) {
+        position = fmt::format("    int q{0} = {1} - {2} - k{0};\n    if (q{0} < 0 || q{0} % {3} != 0) continue;\n"
+                               "    int p{0} = q{0} / {3};\n", axis, out, Codegen::literal(pad[2 * axis]), stride[axis]);
+      } else {
+        position = fmt::format("    int p{0} = {1} * {2} - {3} + k{0} * {4};\n", axis, out, stride[axis], pad[2 * axis],
+                               dilation[axis]);
+      }
+      position += fmt::format("    if (uint(p{0}) >= {1}u) continue;\n", axis, in[axis + 1]);
+      code = loop(fmt::format("k{}", axis), weight[first_kernel_axis + axis], position + code);
+    }
+    const std::string bias = load(2, {shape(2)[0] == 1 ? "0" : oc});
+    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(), bias, code);
+  }
+
+  std::string matmul() {
+    const std::vector<std::string>& o = at_.coords;
+    const std::string product = fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, {o[0], o[1], "c"}, 2),
+                                            centred(1, {o[0], "c", o[2]}, 3));
+    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(), Codegen::literal(0, result()),
+                       loop("c", shape(0)[2], product));
+  }
+
+  std::string pool() {
+    const bool average = node_.op == Op::kAvgPool2d;
+    const std::span<const int64_t> kernel = node_.attrs.list(Attr::kKernel);
+    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
+    const std::span<const int64_t> pad = node_.attrs.list(Attr::kPad);
+    const IntRange range = dtype_range(result());
+    const std::vector<std::string> tap{at_.coords[0], "p0", "p1", at_.coords[3]};
+    std::string code = average ? fmt::format("    acc += {}; ++count;\n", centred(0, tap, 1))
+                               : fmt::format("    acc = max(acc, {});\n", load(0, tap));
+    for (size_t axis = 2; axis-- > 0;) {
+      const std::string position =
+          fmt::format("    int p{0} = {1} * {2} - {3} + k{0};\n    if (uint(p{0}) >= {4}u) continue;\n", axis,
+                      at_.coords[axis + 1], stride[axis], pad[2 * axis], shape(0)[axis + 1]);
+      code = loop(fmt::format("k{}", axis), kernel[axis], position + code);
+    }
+    if (!average) return fmt::format("  int acc = {};\n{}  int h = acc;\n", range.min, code);
+    c_.use_int64();
+    const int64_t zp = c_.value(node_.inputs[2]).constant->get(0);
+    return fmt::format("  int acc = 0;\n  int count = 0;\n{}  int h = clamp(average_pool(acc, count) + {}, {}, {});\n", code,
+                       Codegen::literal(zp), range.min, range.max);
+  }
+
+  std::string bilinear() {
+    const std::vector<int64_t> scale = c_.value(node_.inputs[1]).constant->ints();
+    const std::vector<int64_t> offset = c_.value(node_.inputs[2]).constant->ints();
+    std::string code;
+    for (size_t axis = 0; axis < 2; ++axis)
+      code += fmt::format(
+          "  int s{0} = {1} * {2} + {3};\n  int q{0} = (s{0} + {4}) / {4} - 1;\n  int f{0} = s{0} - q{0} * {4};\n"
+          "  int u{0} = max(q{0}, 0);\n  int v{0} = min(q{0} + 1, {5});\n",
+          axis, at_.coords[axis + 1], scale[2 * axis + 1], Codegen::literal(offset[axis]), scale[2 * axis],
+          shape(0)[axis + 1] - 1);
+    const auto term = [&](const char* y, const char* x, const std::string& weight_y, const std::string& weight_x) {
+      return fmt::format("{}({}) * {} * {}", accumulator(), load(0, {at_.coords[0], y, x, at_.coords[3]}), weight_y,
+                         weight_x);
+    };
+    const std::string near_y = fmt::format("({} - f0)", scale[0]), near_x = fmt::format("({} - f1)", scale[2]);
+    return code + fmt::format("  {} h = {} + {} + {} + {};\n", accumulator(), term("u0", "u1", near_y, near_x),
+                              term("u0", "v1", near_y, "f1"), term("v0", "u1", "f0", near_x), term("v0", "v1", "f0", "f1"));
+  }
+
+  std::string gather() {
+    // An index outside the values has no result in TOSA; clamped, it cannot read foreign memory.
+    const std::string index = load(1, {at_.coords[0], at_.coords[1]});
+    return fmt::format("  int k = clamp({}, 0, {});\n  {} h = {};\n", index, shape(0)[1] - 1, accumulator(),
+                       load(0, {at_.coords[0], "k", at_.coords[2]}));
+  }
+
+  std::string scatter() {
+    const std::string take = fmt::format("    if ({} == {}) acc = {};\n", load(1, {at_.coords[0], "w"}), at_.coords[1],
+                                         load(2, {at_.coords[0], "w", at_.coords[2]}));
+    return fmt::format("  int acc = {};\n{}  int h = acc;\n", load(0, at_.coords), loop("w", shape(1)[1], take));
+  }
+
+  std::string argmax() {
+    const size_t axis = static_cast<size_t>(node_.attrs.get(Attr::kAxis));
+    std::vector<std::string> coords = at_.coords;
+    coords.insert(coords.begin() + static_cast<std::ptrdiff_t>(axis), "k");
+    const std::string element = load(0, coords);
+    return fmt::format("  int h = 0;\n  int best = {};\n{}", dtype_range(c_.value(node_.inputs[0]).type.dtype).min,
+                       loop("k", shape(0)[axis], fmt::format("    int x = {};\n    if (x > best) {{ best = x; h = k; }}\n",
+                                                             element)));
+  }
+
+  std::string reduce() {
+    const size_t axis = static_cast<size_t>(node_.attrs.get(Attr::kAxis));
+    std::vector<std::string> coords = at_.coords;
+    coords[axis] = "k";
+    const std::string x = load(0, coords);
+    std::string start = "0", step;
+    switch (node_.op) {
+      case Op::kReduceSum: step = "acc + " + x; break;
+      case Op::kReduceAny: step = "acc | " + x; break;
+      case Op::kReduceAll: start = "1"; step = "acc & " + x; break;
+      case Op::kReduceMax: start = Codegen::literal(dtype_range(result()).min); step = fmt::format("max(acc, {})", x); break;
+      case Op::kReduceMin: start = Codegen::literal(dtype_range(result()).max); step = fmt::format("min(acc, {})", x); break;
+      default: SHALE_CHECK(false && "no reduction");
+    }
+    return fmt::format("  int acc = {};\n{}  int h = acc;\n", start,
+                       loop("k", shape(0)[axis], fmt::format("    acc = {};\n", step)));
+  }
+
+  Codegen& c_;
+  const Node& node_;
+  const Position& at_;
+};
+
+}  // namespace
+
+bool generic_supports(const GroupProblem&, const DeviceProfile&) { return true; }
+
+double generic_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
+  const double elements = static_cast<double>(
+      element_count(problem.graph->value(problem.group.result).type.shape).value_or(0));
+  return 2e-3 * static_cast<double>(problem.cost.macs) / profile.generic_gops + 1e-3 * elements * profile.element_ns +
+         profile.launch_us;
+}
+
+Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem, const DeviceProfile&) {
+  Codegen codegen(problem);
+  const Value& result = codegen.value(problem.group.result);
+  const int64_t count = *element_count(result.type.shape);
+  const int64_t groups = (count + kLocalSize - 1) / kLocalSize;
+  const int64_t groups_x = std::min(groups, kMaxGroupsX);
+  const int64_t groups_y = (groups + groups_x - 1) / groups_x;
+
+  std::string body = fmt::format("  uint invocation = gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * {}u;\n"
+                                 "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
+                                 groups_x * kLocalSize, count);
+  // One named local per dimension keeps the expressions below short.
+  Position at = Codegen::split("index", result.type.shape);
+  for (size_t i = 0; i < at.coords.size(); ++i) {
+    const std::string name = fmt::format("o{}", i);
+    if (at.coords[i] == "0") continue;
+    body += fmt::format("  int {} = {};\n", name, at.coords[i]);
+    at.coords[i] = name;
+  }
+  if (problem.group.head) {
+    const Node& head = problem.graph->node(*problem.group.head);
+    body += HeadEmitter(codegen, head, at).emit();
+    codegen.locals()[head.output] = "h";
+  }
+  codegen.epilogue(body, at, "");
+  const Node& last = problem.graph->node(problem.group.nodes.back());
+  const std::string value = op_kind(last) == OpKind::kView ? codegen.view(last, at) : codegen.load(last.output, at);
+  body += codegen.store(problem.group.result, at, value);
+  KernelSource source;
+  source.glsl = codegen.finish(fmt::format("local_size_x = {}", kLocalSize), body);
+  source.workgroups = {static_cast<uint32_t>(groups_x), static_cast<uint32_t>(groups_y), 1};
+  source.bindings = codegen.bindings();
+  return std::vector<KernelSource>{std::move(source)};
+}
+
+}  // namespace shale

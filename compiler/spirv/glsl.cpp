@@ -1,0 +1,92 @@
+#include "compiler/spirv/glsl.h"
+
+#include <glslang/Public/ShaderLang.h>
+#include <glslang/SPIRV/GlslangToSpv.h>
+
+#include <memory>
+
+#include "compiler/spirv/include_embedded.h"
+
+namespace shale {
+namespace {
+
+/// glslang keeps tables for the whole process.
+struct GlslangProcess {
+  GlslangProcess() { glslang::InitializeProcess(); }
+  ~GlslangProcess() { glslang::FinalizeProcess(); }
+};
+
+class EmbeddedIncluder : public glslang::TShader::Includer {
+ public:
+  IncludeResult* includeLocal(const char* header, const char*, size_t depth) override {
+    if (depth > 8) return nullptr;
+    for (const embedded_include::EmbeddedFile& file : embedded_include::kEmbeddedFiles)
+      if (file.name == header)
+        return new IncludeResult(std::string(file.name), file.text.data(), file.text.size(), nullptr);
+    return nullptr;
+  }
+  void releaseInclude(IncludeResult* result) override { delete result; }
+};
+
+/// Limits of the compiler's own checks; the device's are checked by the runtime.
+TBuiltInResource resource_limits() {
+  TBuiltInResource limits = {};
+  limits.maxComputeWorkGroupCountX = limits.maxComputeWorkGroupCountY = limits.maxComputeWorkGroupCountZ = 65535;
+  limits.maxComputeWorkGroupSizeX = limits.maxComputeWorkGroupSizeY = limits.maxComputeWorkGroupSizeZ = 1024;
+  limits.maxImageUnits = 64;
+  limits.maxComputeImageUniforms = 64;
+  limits.maxComputeTextureImageUnits = 64;
+  limits.maxCombinedTextureImageUnits = 64;
+  limits.limits.nonInductiveForLoops = true;
+  limits.limits.whileLoops = true;
+  limits.limits.doWhileLoops = true;
+  limits.limits.generalUniformIndexing = true;
+  limits.limits.generalAttributeMatrixVectorIndexing = true;
+  limits.limits.generalVaryingIndexing = true;
+  limits.limits.generalSamplerIndexing = true;
+  limits.limits.generalVariableIndexing = true;
+  limits.limits.generalConstantMatrixVectorIndexing = true;
+  return limits;
+}
+
+std::string first_error(const char* log) {
+  const std::string text(log);
+  const size_t at = text.find("ERROR:");
+  const size_t start = at == std::string::npos ? 0 : at;
+  return text.substr(start, text.find('\n', start) - start);
+}
+
+}  // namespace
+
+Result<Spirv> compile_glsl(std::string_view source, const Defines& defines, const std::string& where) {
+  static const GlslangProcess process;
+  std::string preamble = "#extension GL_GOOGLE_include_directive : require\n";
+  for (const auto& [name, value] : defines) preamble += "#define " + name + " " + value + "\n";
+  glslang::TShader shader(EShLangCompute);
+  const char* text = source.data();
+  const int length = static_cast<int>(source.size());
+  const char* name = where.c_str();
+  shader.setStringsWithLengthsAndNames(&text, &length, &name, 1);
+  shader.setPreamble(preamble.c_str());
+  shader.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
+  shader.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_3);
+  shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_6);
+  const TBuiltInResource limits = resource_limits();
+  const EShMessages messages = static_cast<EShMessages>(EShMsgSpvRules | EShMsgVulkanRules);
+  EmbeddedIncluder includer;
+  if (!shader.parse(&limits, 450, ENoProfile, false, false, messages, includer))
+    return bad_input(where, "the shader does not compile: {}", first_error(shader.getInfoLog()));
+  glslang::TProgram program;
+  program.addShader(&shader);
+  if (!program.link(messages))
+    return bad_input(where, "the shader does not link: {}", first_error(program.getInfoLog()));
+  Spirv words;
+  glslang::SpvOptions options;
+  options.generateDebugInfo = false;
+  options.stripDebugInfo = true;
+  options.disableOptimizer = true;
+  glslang::GlslangToSpv(*program.getIntermediate(EShLangCompute), words, &options);
+  return words;
+}
+
+}  // namespace shale

@@ -1,0 +1,30 @@
+// compiler/target/profile.h -- device classes that a package can be compiled for.
+#pragma once
+
+#include <span>
+#include <string_view>
+
+#include "ir/package/caps.h"
+
+namespace shale {
+
+/// Constants of the cost model; rates are sustained, measured where `source` says so.
+struct DeviceProfile {
+  std::string_view name;
+  std::string_view help;
+  DeviceCaps caps;
+  double mul_add_gops = 0;      ///< float32 multiply and add in registers, 2 per MAC
+  double literal_share = 0;     ///< share of mul_add_gops that kernels with literal weights reach
+  double integer_share = 0;     ///< the same for their int32 form
+  double generic_gops = 0;      ///< one invocation per output element, storage buffers, 2 per MAC
+  double element_ns = 0;        ///< cost of one elementwise result of the generic kernel
+  double bandwidth_gbps = 0;    ///< bytes read or written per nanosecond
+  double launch_us = 0;         ///< per dispatch
+  bool literal_weights = false; ///< constants in code are free: true where kernels run on a CPU
+  std::string_view source;
+};
+
+std::span<const DeviceProfile> known_profiles();
+const DeviceProfile* find_profile(std::string_view name);
+
+}  // namespace shale

@@ -1,0 +1,46 @@
+#include "ir/package/caps.h"
+
+#include <fmt/format.h>
+
+#include <array>
+
+namespace shale {
+namespace {
+
+constexpr std::array<const char*, kFeatureCount> kFeatureNames{
+    "storageBuffer8BitAccess", "storageBuffer16BitAccess", "shaderInt8",
+    "shaderInt16",             "shaderInt64",              "shaderFloat16",
+    "shaderIntegerDotProduct", "cooperativeMatrix"};
+
+}  // namespace
+
+const char* feature_name(Feature feature) {
+  return kFeatureNames[static_cast<uint32_t>(feature)];
+}
+
+std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& requirements) {
+  std::vector<std::string> lines;
+  for (uint32_t i = 0; i < kFeatureCount; ++i) {
+    const auto feature = static_cast<Feature>(i);
+    if (requirements.features.has(feature) && !caps.features.has(feature))
+      lines.push_back(fmt::format("{} is not supported", feature_name(feature)));
+  }
+  const auto at_least = [&](const char* what, uint64_t found, uint64_t needed) {
+    if (found < needed) lines.push_back(fmt::format("{} is {}, needs {}", what, found, needed));
+  };
+  at_least("maxComputeWorkGroupInvocations", caps.max_workgroup_invocations,
+           requirements.workgroup_invocations);
+  at_least("maxComputeSharedMemorySize", caps.max_shared_bytes, requirements.shared_bytes);
+  at_least("maxStorageBufferRange", caps.max_storage_range_bytes,
+           requirements.storage_range_bytes);
+  at_least("maxTexelBufferElements", caps.max_texel_elements, requirements.texel_elements);
+  at_least("maxPerStageDescriptorStorageBuffers", caps.max_storage_buffers,
+           requirements.storage_buffers);
+  at_least("maxPerStageDescriptorSampledImages", caps.max_texel_buffers,
+           requirements.texel_buffers);
+  at_least("maxPerStageDescriptorStorageImages", caps.max_storage_images,
+           requirements.storage_images);
+  return lines;
+}
+
+}  // namespace shale

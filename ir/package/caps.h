@@ -1,0 +1,71 @@
+// ir/package/caps.h -- what a device can do, and what a package variant asks of it.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace shale {
+
+/// A bit per optional device feature that a kernel may use. The numbers are stored in packages.
+enum class Feature : uint32_t {
+  kStorageBuffer8 = 0,   ///< 8-bit values in storage buffers
+  kStorageBuffer16 = 1,  ///< 16-bit values in storage buffers
+  kInt8 = 2,             ///< shaderInt8
+  kInt16 = 3,            ///< shaderInt16
+  kInt64 = 4,            ///< shaderInt64
+  kFloat16 = 5,          ///< shaderFloat16
+  kDotProduct8 = 6,      ///< shaderIntegerDotProduct
+  kCooperativeMatrix = 7,  ///< never reported by runtime/vk: Vulkan headers 1.3.239 do not know it
+};
+inline constexpr uint32_t kFeatureCount = 8;
+
+/// Feature as written in messages and by `shale doctor`: "shaderInt8".
+const char* feature_name(Feature feature);
+
+struct FeatureSet {
+  uint32_t bits = 0;
+  bool has(Feature f) const { return (bits >> static_cast<uint32_t>(f)) & 1u; }
+  void add(Feature f) { bits |= 1u << static_cast<uint32_t>(f); }
+  bool operator==(const FeatureSet&) const = default;
+};
+
+/// Snapshot of a device, taken by runtime/vk or written down in compiler/target; no handles.
+struct DeviceCaps {
+  std::string name;           ///< VkPhysicalDeviceProperties::deviceName
+  std::string driver;         ///< driver name and version, for humans
+  uint32_t api_version = 0;   ///< VK_MAKE_API_VERSION form
+  bool cpu = false;           ///< VK_PHYSICAL_DEVICE_TYPE_CPU
+  FeatureSet features;
+  uint32_t max_workgroup_invocations = 0;
+  uint32_t max_workgroup_size[3] = {0, 0, 0};
+  uint32_t max_workgroup_count[3] = {0, 0, 0};
+  uint32_t max_shared_bytes = 0;
+  uint64_t max_storage_range_bytes = 0;
+  uint64_t max_texel_elements = 0;
+  uint32_t max_storage_buffers = 0;  ///< per stage
+  uint32_t max_texel_buffers = 0;    ///< sampled images per stage; texel buffers count there
+  uint32_t max_storage_images = 0;   ///< per stage
+  uint32_t subgroup_size = 0;
+};
+
+/// What a variant needs. Filled from the SPIR-V words and the dispatches, never by hand.
+struct Requirements {
+  FeatureSet features;
+  uint32_t workgroup_invocations = 1;
+  uint32_t shared_bytes = 0;
+  uint64_t storage_range_bytes = 0;  ///< largest buffer binding
+  uint64_t texel_elements = 0;       ///< largest texel buffer binding
+  uint32_t storage_buffers = 0;      ///< most in one dispatch
+  uint32_t texel_buffers = 0;        ///< most in one dispatch, sampled images included
+  uint32_t storage_images = 0;       ///< most in one dispatch
+  bool operator==(const Requirements&) const = default;
+};
+
+/// One line per thing that is missing ("shaderInt8 is not supported"); empty if the device will do.
+std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& requirements);
+inline bool meets(const DeviceCaps& caps, const Requirements& requirements) {
+  return missing(caps, requirements).empty();
+}
+
+}  // namespace shale

@@ -1,0 +1,331 @@
+// What read_package and the runtime ask of a package, beyond what the FlatBuffers verifier can see.
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "ir/package/package.h"
+
+namespace shale {
+namespace {
+
+constexpr uint32_t kSpirvMagic = 0x07230203;
+constexpr size_t kSpirvHeaderWords = 5;
+constexpr size_t kMaxRank = 6;  // TOSA 1.0, level 8K
+
+bool has_control_characters(std::string_view text) {
+  return std::any_of(text.begin(), text.end(), [](char c) {
+    return static_cast<unsigned char>(c) < 0x20 || c == 0x7f;
+  });
+}
+
+/// A name goes into messages, tables and JSON as it stands.
+Result<void> check_name(const std::string& where, const char* what, const std::string& name) {
+  if (name.empty()) return bad_input(where, "the {} is empty", what);
+  if (has_control_characters(name))
+    return bad_input(where, "the {} has control characters", what);
+  return {};
+}
+
+Result<void> check_unique_name(const std::string& where, const char* what,
+                               const std::string& name, std::set<std::string_view>& taken) {
+  SHALE_TRY_VOID(check_name(where, what, name));
+  if (!taken.insert(name).second)
+    return bad_input(where, "the {} \"{}\" is taken already", what, name);
+  return {};
+}
+
+Result<void> check_range(const std::string& where, const Resource& tensor, const char* pool,
+                         uint64_t pool_bytes) {
+  if (tensor.offset_bytes % kBufferAlignment != 0)
+    return bad_input(where, "offset {} is no multiple of {}", tensor.offset_bytes,
+                     kBufferAlignment);
+  if (tensor.offset_bytes > pool_bytes || tensor.size_bytes > pool_bytes - tensor.offset_bytes)
+    return bad_input(where, "bytes {} to {} + {} leave the {} of {} bytes", tensor.offset_bytes,
+                     tensor.offset_bytes, tensor.size_bytes, pool, pool_bytes);
+  return {};
+}
+
+Result<void> check_tensor(const std::string& where, const Resource& tensor,
+                          const Variant& variant, uint64_t weight_bytes) {
+  if (!is_dtype(static_cast<uint32_t>(tensor.dtype)))
+    return bad_input(where, "element type {} does not exist",
+                     static_cast<uint32_t>(tensor.dtype));
+  if (tensor.dtype == DType::kUnknown || tensor.dtype == DType::kShape)
+    return bad_input(where, "a tensor cannot have the element type {}",
+                     dtype_info(tensor.dtype).wire);
+  if (tensor.shape.size() > kMaxRank)
+    return bad_input(where, "rank {} is above {}", tensor.shape.size(), kMaxRank);
+  uint64_t bytes = dtype_info(tensor.dtype).host_bytes;
+  for (const int64_t extent : tensor.shape) {
+    if (extent < 1) return bad_input(where, "extent {} is below 1", extent);
+    if (static_cast<uint64_t>(extent) > kMaxTensorBytes / bytes)
+      return bad_input(where, "the tensor is larger than {} bytes", kMaxTensorBytes);
+    bytes *= static_cast<uint64_t>(extent);
+  }
+  if (tensor.size_bytes != bytes)
+    return bad_input(where, "size is {} bytes, the shape makes {}", tensor.size_bytes, bytes);
+  if (tensor.quantization &&
+      !(std::isfinite(tensor.quantization->scale) && tensor.quantization->scale > 0))
+    return bad_input(where, "scale {} is not a positive number", tensor.quantization->scale);
+  if (tensor.format != ImageFormat::kNone || tensor.width != 0 || tensor.height != 0 ||
+      tensor.history_depth != 0)
+    return bad_input(where, "a tensor has image fields");
+  if (tensor.category == Category::kIntermediate)
+    return check_range(where, tensor, "arena", variant.arena_bytes);
+  if (tensor.category == Category::kWeights)
+    return check_range(where, tensor, "weights", weight_bytes);
+  if (tensor.offset_bytes != 0)
+    return bad_input(where, "a tensor bound by the caller has offset {}", tensor.offset_bytes);
+  return {};
+}
+
+Result<void> check_image(const std::string& where, const Resource& image) {
+  if (static_cast<uint32_t>(image.format) >= kImageFormatCount)
+    return bad_input(where, "image format {} does not exist", static_cast<uint32_t>(image.format));
+  if (image.format == ImageFormat::kNone || image.format == ImageFormat::kRgba8Sint ||
+      image.format == ImageFormat::kR8Sint)
+    return bad_input(where, "an image cannot have the format {}",
+                     image_format_info(image.format).name);
+  if (image.width < 1 || image.height < 1 || image.width > kMaxImageExtent ||
+      image.height > kMaxImageExtent)
+    return bad_input(where, "extent {}x{} is outside 1..{}", image.width, image.height,
+                     kMaxImageExtent);
+  if (image.dtype != DType::kUnknown || !image.shape.empty() || image.quantization ||
+      image.offset_bytes != 0 || image.size_bytes != 0)
+    return bad_input(where, "an image has tensor fields");
+  const bool history = image.category == Category::kImageHistory;
+  if (history && (image.history_depth < 2 || image.history_depth > kMaxHistoryDepth))
+    return bad_input(where, "history depth {} is outside 2..{}", image.history_depth,
+                     kMaxHistoryDepth);
+  if (!history && image.history_depth != 0)
+    return bad_input(where, "history depth {} of an image that is no history",
+                     image.history_depth);
+  return {};
+}
+
+Result<void> check_tensor_binding(const std::string& where, const Binding& binding,
+                                  const Resource& tensor, SegmentKind segment) {
+  if (binding.type != BindingType::kStorageBuffer &&
+      binding.type != BindingType::kUniformTexelBuffer)
+    return bad_input(where, "an image descriptor leads to the tensor \"{}\"", tensor.name);
+  if (binding.frames_back != 0)
+    return bad_input(where, "frames_back is {} on a tensor", binding.frames_back);
+  if (binding.writes && tensor.category == Category::kWeights)
+    return bad_input(where, "weights \"{}\" are written", tensor.name);
+  if (binding.writes && tensor.category == Category::kInput && segment == SegmentKind::kGraph)
+    return bad_input(where, "the graph segment writes its input \"{}\"", tensor.name);
+  if (binding.type == BindingType::kStorageBuffer) {
+    if (binding.view_format != ImageFormat::kNone)
+      return bad_input(where, "a storage buffer has a view format");
+    return {};
+  }
+  if (binding.writes) return bad_input(where, "a uniform texel buffer is written");
+  if (binding.view_format != ImageFormat::kRgba8Sint &&
+      binding.view_format != ImageFormat::kR8Sint)
+    return bad_input(where, "a texel buffer cannot have the view format {}",
+                     image_format_info(binding.view_format).name);
+  if (tensor.dtype != DType::kInt8 && tensor.dtype != DType::kBool)
+    return bad_input(where, "a texel buffer views a tensor of type {}, expected INT8 or BOOL",
+                     dtype_info(tensor.dtype).wire);
+  const uint32_t texel_bytes = image_format_info(binding.view_format).texel_bytes;
+  if (tensor.size_bytes % texel_bytes != 0)
+    return bad_input(where, "{} bytes of \"{}\" are no whole number of {} byte texels",
+                     tensor.size_bytes, tensor.name, texel_bytes);
+  return {};
+}
+
+Result<void> check_image_binding(const std::string& where, const Binding& binding,
+                                 const Resource& image, SegmentKind segment) {
+  if (binding.type != BindingType::kSampledImage && binding.type != BindingType::kStorageImage)
+    return bad_input(where, "a buffer descriptor leads to the image \"{}\"", image.name);
+  if (segment == SegmentKind::kGraph)
+    return bad_input(where, "the graph segment uses the image \"{}\"", image.name);
+  if (binding.view_format != ImageFormat::kNone)
+    return bad_input(where, "an image descriptor has a view format");
+  if (binding.writes && binding.type == BindingType::kSampledImage)
+    return bad_input(where, "a sampled image is written");
+  if (binding.writes && image.category == Category::kImageInput)
+    return bad_input(where, "the input image \"{}\" is written", image.name);
+  // Only a history has frames to go back to, and only its newest image may change.
+  const uint32_t depth = std::max(image.history_depth, 1u);
+  if (binding.frames_back >= depth)
+    return bad_input(where, "frames_back is {}, \"{}\" holds {} frame(s)", binding.frames_back,
+                     image.name, depth);
+  if (binding.writes && binding.frames_back != 0)
+    return bad_input(where, "an earlier frame's \"{}\" is written", image.name);
+  return {};
+}
+
+Result<void> check_binding(const std::string& where, const Binding& binding,
+                           const Variant& variant, SegmentKind segment) {
+  if (binding.binding >= kMaxBindings)
+    return bad_input(where, "the binding number is not below {}", kMaxBindings);
+  if (static_cast<uint32_t>(binding.type) >= kBindingTypeCount)
+    return bad_input(where, "binding type {} does not exist", static_cast<uint32_t>(binding.type));
+  if (static_cast<uint32_t>(binding.view_format) >= kImageFormatCount)
+    return bad_input(where, "view format {} does not exist",
+                     static_cast<uint32_t>(binding.view_format));
+  if (binding.resource >= variant.resources.size())
+    return bad_input(where, "resource {} does not exist, there are {}", binding.resource,
+                     variant.resources.size());
+  if (!binding.reads && !binding.writes) return bad_input(where, "neither reads nor writes");
+  const Resource& resource = variant.resources[binding.resource];
+  return is_image(resource.category) ? check_image_binding(where, binding, resource, segment)
+                                     : check_tensor_binding(where, binding, resource, segment);
+}
+
+Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
+                            const Variant& variant, SegmentKind segment) {
+  SHALE_TRY_VOID(check_name(where, "kernel name", dispatch.kernel));
+  if (dispatch.module >= variant.modules.size())
+    return bad_input(where, "module {} does not exist, there are {}", dispatch.module,
+                     variant.modules.size());
+  for (const uint32_t count : dispatch.workgroups)
+    if (count < 1 || count > kMaxWorkgroups)
+      return bad_input(where, "a grid of {} workgroups is outside 1..{}", count, kMaxWorkgroups);
+  uint64_t used = 0;
+  for (const Binding& binding : dispatch.bindings) {
+    const std::string at = fmt::format("{}, binding {}", where, binding.binding);
+    SHALE_TRY_VOID(check_binding(at, binding, variant, segment));
+    const uint64_t bit = uint64_t{1} << binding.binding;
+    if (used & bit) return bad_input(at, "the binding number is taken already");
+    used |= bit;
+  }
+  if (!(std::isfinite(dispatch.cost.time_us) && dispatch.cost.time_us >= 0))
+    return bad_input(where, "predicted time {} is not a duration", dispatch.cost.time_us);
+  return {};
+}
+
+Result<void> check_proof(const std::string& where, const RangeProof& proof) {
+  if (proof.min.size() != proof.max.size() || proof.min.size() != proof.magnitude.size())
+    return bad_input(where, "{} minima, {} maxima and {} magnitudes, expected as many of each",
+                     proof.min.size(), proof.max.size(), proof.magnitude.size());
+  for (size_t i = 0; i < proof.min.size(); ++i)
+    if (proof.min[i] > proof.max[i] || proof.magnitude[i] < 0)
+      return bad_input(where, "channel {} has the range {}..{} and the magnitude {}", i,
+                       proof.min[i], proof.max[i], proof.magnitude[i]);
+  return {};
+}
+
+Result<void> check_requirements(const std::string& where, const Variant& variant) {
+  if (variant.requirements.features.bits >> kFeatureCount)
+    return bad_input(where, "feature bits {:#x} do not exist",
+                     variant.requirements.features.bits >> kFeatureCount << kFeatureCount);
+  const Requirements bindings = binding_requirements(variant);
+  Result<void> result;
+  const auto covers = [&](const char* what, uint64_t stated, uint64_t used) {
+    if (result && stated < used)
+      result = bad_input(where, "{} is {}, the bindings need {}", what, stated, used);
+  };
+  const Requirements& stated = variant.requirements;
+  covers("storage_range_bytes", stated.storage_range_bytes, bindings.storage_range_bytes);
+  covers("texel_elements", stated.texel_elements, bindings.texel_elements);
+  covers("storage_buffers", stated.storage_buffers, bindings.storage_buffers);
+  covers("texel_buffers", stated.texel_buffers, bindings.texel_buffers);
+  covers("storage_images", stated.storage_images, bindings.storage_images);
+  return result;
+}
+
+Result<void> check_variant(const std::string& where, const Variant& variant,
+                           uint64_t weight_bytes) {
+  SHALE_TRY_VOID(check_name(where, "target name", variant.target));
+  if (variant.arena_bytes >= kMaxTensorBytes)
+    return bad_input(where, "an arena of {} bytes is not below {}", variant.arena_bytes,
+                     kMaxTensorBytes);
+  std::set<std::string_view> names;
+  for (size_t i = 0; i < variant.resources.size(); ++i) {
+    const Resource& resource = variant.resources[i];
+    SHALE_TRY_VOID(check_unique_name(fmt::format("{}, resource {}", where, i), "resource name",
+                                     resource.name, names));
+    const std::string at = fmt::format("{}, resource \"{}\"", where, resource.name);
+    if (static_cast<uint32_t>(resource.category) >= kCategoryCount)
+      return bad_input(at, "category {} does not exist", static_cast<uint32_t>(resource.category));
+    SHALE_TRY_VOID(is_image(resource.category)
+                       ? check_image(at, resource)
+                       : check_tensor(at, resource, variant, weight_bytes));
+  }
+  for (size_t i = 0; i < variant.modules.size(); ++i) {
+    const Spirv& words = variant.modules[i];
+    if (words.size() < kSpirvHeaderWords || words[0] != kSpirvMagic)
+      return bad_input(fmt::format("{}, module {}", where, i), "holds no SPIR-V");
+  }
+  std::set<std::string_view> segment_names;
+  std::set<std::string_view> dispatch_names;
+  size_t graphs = 0;
+  for (size_t s = 0; s < variant.segments.size(); ++s) {
+    const Segment& segment = variant.segments[s];
+    const std::string at = fmt::format("{}, segment {}", where, s);
+    SHALE_TRY_VOID(check_unique_name(at, "segment name", segment.name, segment_names));
+    if (segment.kind != SegmentKind::kCompute && segment.kind != SegmentKind::kGraph)
+      return bad_input(at, "segment kind {} does not exist", static_cast<uint32_t>(segment.kind));
+    if (segment.kind == SegmentKind::kGraph) ++graphs;
+    for (size_t d = 0; d < segment.dispatches.size(); ++d) {
+      const Dispatch& dispatch = segment.dispatches[d];
+      SHALE_TRY_VOID(check_unique_name(fmt::format("{}, dispatch {}", at, d), "dispatch name",
+                                       dispatch.name, dispatch_names));
+      SHALE_TRY_VOID(check_dispatch(fmt::format("{}, dispatch \"{}\"", where, dispatch.name),
+                                    dispatch, variant, segment.kind));
+    }
+  }
+  if (graphs != 1)
+    return bad_input(where, "has {} graph segments, expected exactly one", graphs);
+  for (size_t i = 0; i < variant.proofs.size(); ++i) {
+    const std::string at = fmt::format("{}, proof {}", where, i);
+    SHALE_TRY_VOID(check_name(at, "name", variant.proofs[i].name));
+    SHALE_TRY_VOID(check_proof(at, variant.proofs[i]));
+  }
+  return check_requirements(where, variant);
+}
+
+}  // namespace
+
+Requirements binding_requirements(const Variant& variant) {
+  Requirements needs;
+  for (const Segment& segment : variant.segments) {
+    for (const Dispatch& dispatch : segment.dispatches) {
+      uint32_t storage_buffers = 0;
+      uint32_t texel_buffers = 0;
+      uint32_t storage_images = 0;
+      for (const Binding& binding : dispatch.bindings) {
+        const Resource& resource = variant.resources[binding.resource];
+        switch (binding.type) {
+          case BindingType::kStorageBuffer:
+            ++storage_buffers;
+            needs.storage_range_bytes =
+                std::max(needs.storage_range_bytes, bound_bytes(resource));
+            break;
+          case BindingType::kUniformTexelBuffer:
+            ++texel_buffers;
+            needs.texel_elements = std::max(
+                needs.texel_elements,
+                resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
+            break;
+          case BindingType::kSampledImage:
+            ++texel_buffers;
+            break;
+          case BindingType::kStorageImage:
+            ++storage_images;
+            break;
+        }
+      }
+      needs.storage_buffers = std::max(needs.storage_buffers, storage_buffers);
+      needs.texel_buffers = std::max(needs.texel_buffers, texel_buffers);
+      needs.storage_images = std::max(needs.storage_images, storage_images);
+    }
+  }
+  return needs;
+}
+
+Result<void> check_package(const Package& package) {
+  const Provenance& provenance = package.provenance;
+  if (has_control_characters(provenance.model_name) ||
+      has_control_characters(provenance.compiler) || has_control_characters(provenance.options))
+    return bad_input("provenance", "has control characters");
+  if (package.variants.empty()) return bad_input("", "the package has no variant");
+  for (size_t i = 0; i < package.variants.size(); ++i)
+    SHALE_TRY_VOID(check_variant(fmt::format("variant {}", i), package.variants[i],
+                                 package.weights.size()));
+  return {};
+}
+
+}  // namespace shale

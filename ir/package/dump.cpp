@@ -1,0 +1,120 @@
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <iterator>
+
+#include "ir/base/hash.h"
+#include "ir/package/package.h"
+
+namespace shale {
+namespace {
+
+constexpr std::array<const char*, kCategoryCount> kCategoryNames{
+    "input",       "output",       "intermediate",   "weights",
+    "image input", "image output", "image internal", "image history"};
+constexpr std::array<const char*, kBindingTypeCount> kBindingTypeNames{
+    "storage buffer", "texel buffer", "sampled image", "storage image"};
+
+template <typename... Args>
+void line(std::string& text, fmt::format_string<Args...> format, Args&&... args) {
+  fmt::format_to(std::back_inserter(text), format, std::forward<Args>(args)...);
+  text += '\n';
+}
+
+void dump_requirements(std::string& text, const Requirements& r) {
+  std::string features;
+  for (uint32_t i = 0; i < kFeatureCount; ++i)
+    if (r.features.has(static_cast<Feature>(i)))
+      features += fmt::format(" {}", feature_name(static_cast<Feature>(i)));
+  line(text, "  needs:{}", features.empty() ? " no optional feature" : features);
+  line(text, "    workgroups of {} invocations, {} shared bytes", r.workgroup_invocations,
+       r.shared_bytes);
+  line(text, "    buffer ranges of {} bytes, texel buffers of {} elements", r.storage_range_bytes,
+       r.texel_elements);
+  line(text,
+       "    in one dispatch {} storage buffers, {} texel buffers and sampled images, "
+       "{} storage images",
+       r.storage_buffers, r.texel_buffers, r.storage_images);
+}
+
+void dump_resource(std::string& text, size_t index, const Resource& r) {
+  const char* category = kCategoryNames[static_cast<uint32_t>(r.category)];
+  if (is_image(r.category)) {
+    line(text, "    {:3} {:14} {} {}x{}{} \"{}\"", index, category,
+         image_format_info(r.format).name, r.width, r.height,
+         r.history_depth ? fmt::format(" depth {}", r.history_depth) : "", r.name);
+    return;
+  }
+  const bool placed = r.category == Category::kIntermediate || r.category == Category::kWeights;
+  line(text, "    {:3} {:14} {}[{}] {} bytes{}{} \"{}\"", index, category,
+       dtype_info(r.dtype).name, fmt::join(r.shape, ","), r.size_bytes,
+       placed ? fmt::format(" at {}", r.offset_bytes) : "",
+       r.quantization ? fmt::format(" scale {} zero point {}", r.quantization->scale,
+                                    r.quantization->zero_point)
+                      : "",
+       r.name);
+}
+
+void dump_binding(std::string& text, const Binding& b, const Variant& variant) {
+  line(text, "      {:2} {}{} {} \"{}\"{}", b.binding,
+       kBindingTypeNames[static_cast<uint32_t>(b.type)],
+       b.view_format == ImageFormat::kNone
+           ? ""
+           : fmt::format(" {}", image_format_info(b.view_format).name),
+       b.reads && b.writes ? "reads and writes" : b.writes ? "writes" : "reads",
+       variant.resources[b.resource].name,
+       b.frames_back ? fmt::format(" {} frame(s) back", b.frames_back) : "");
+}
+
+void dump_segment(std::string& text, const Segment& segment, const Variant& variant) {
+  line(text, "  segment \"{}\" ({}): {} dispatches", segment.name,
+       segment.kind == SegmentKind::kGraph ? "graph" : "compute", segment.dispatches.size());
+  for (const Dispatch& d : segment.dispatches) {
+    line(text, "    \"{}\": {} module {} grid {}x{}x{}", d.name, d.kernel, d.module,
+         d.workgroups[0], d.workgroups[1], d.workgroups[2]);
+    line(text, "      predicted {:.1f} us: {} macs, {} other ops, {} bytes read, {} written",
+         d.cost.time_us, d.cost.macs, d.cost.ops, d.cost.bytes_read, d.cost.bytes_written);
+    for (const Binding& binding : d.bindings) dump_binding(text, binding, variant);
+  }
+}
+
+void dump_variant(std::string& text, size_t index, const Variant& variant) {
+  line(text, "variant {}: target \"{}\", arena {} bytes", index, variant.target,
+       variant.arena_bytes);
+  dump_requirements(text, variant.requirements);
+  line(text, "  resources: {}", variant.resources.size());
+  for (size_t i = 0; i < variant.resources.size(); ++i)
+    dump_resource(text, i, variant.resources[i]);
+  for (const Segment& segment : variant.segments) dump_segment(text, segment, variant);
+  line(text, "  modules: {}", variant.modules.size());
+  for (size_t i = 0; i < variant.modules.size(); ++i) {
+    const Spirv& words = variant.modules[i];
+    const auto* bytes = reinterpret_cast<const uint8_t*>(words.data());
+    line(text, "    {:3} {} words, hash {:016x}", i, words.size(),
+         stable_hash({bytes, words.size() * sizeof(uint32_t)}));
+  }
+  line(text, "  proofs: {}", variant.proofs.size());
+  for (const RangeProof& proof : variant.proofs) {
+    line(text, "    \"{}\": {} channels", proof.name, proof.min.size());
+    for (size_t c = 0; c < proof.min.size(); ++c)
+      line(text, "      {:3} {}..{}, any partial sum within {}", c, proof.min[c], proof.max[c],
+           proof.magnitude[c]);
+  }
+}
+
+}  // namespace
+
+std::string dump_package(const Package& package) {
+  std::string text;
+  line(text, "shale package {}.{}", kPackageMajor, kPackageMinor);
+  line(text, "model \"{}\", hash {:016x}", package.provenance.model_name,
+       package.provenance.model_hash);
+  line(text, "made by {} with \"{}\"", package.provenance.compiler, package.provenance.options);
+  line(text, "weights: {} bytes, hash {:016x}", package.weights.size(),
+       stable_hash(package.weights));
+  for (size_t i = 0; i < package.variants.size(); ++i)
+    dump_variant(text, i, package.variants[i]);
+  return text;
+}
+
+}  // namespace shale

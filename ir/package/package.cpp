@@ -1,0 +1,306 @@
+#include "ir/package/package.h"
+
+#include <bit>
+
+#include "ir/schema/package_generated.h"
+
+namespace shale {
+namespace {
+
+using flatbuffers::Offset;
+using flatbuffers::Vector;
+
+static_assert(std::endian::native == std::endian::little, "vectors are copied as they lie");
+static_assert(static_cast<uint32_t>(fbs::Category::MAX) + 1 == kCategoryCount);
+static_assert(static_cast<uint32_t>(fbs::ImageFormat::MAX) + 1 == kImageFormatCount);
+static_assert(static_cast<uint32_t>(fbs::BindingType::MAX) + 1 == kBindingTypeCount);
+
+/// Lengths of files are multiples of this, so that no cut goes unseen in the padding at the end.
+constexpr size_t kFileAlignment = 8;
+
+constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
+    {ImageFormat::kNone, "none", "", 0},
+    {ImageFormat::kRgba8Unorm, "rgba8_unorm", "rgba8", 4},
+    {ImageFormat::kRgba16Float, "rgba16_float", "rgba16f", 8},
+    {ImageFormat::kRg16Float, "rg16_float", "rg16f", 4},
+    {ImageFormat::kR32Float, "r32_float", "r32f", 4},
+    {ImageFormat::kR8Unorm, "r8_unorm", "r8", 1},
+    {ImageFormat::kR32Uint, "r32_uint", "r32ui", 4},
+    {ImageFormat::kRgba32Float, "rgba32_float", "rgba32f", 16},
+    {ImageFormat::kR16Float, "r16_float", "r16f", 2},
+    {ImageFormat::kRgba8Sint, "rgba8_sint", "rgba8i", 4},
+    {ImageFormat::kR8Sint, "r8_sint", "r8i", 1},
+}};
+
+// ---- Writing: plain data to tables, children first, always in the same order.
+
+using Builder = flatbuffers::FlatBufferBuilder;
+
+template <typename Table, typename T, typename Write>
+auto write_all(Builder& builder, const std::vector<T>& values, Write write) {
+  std::vector<Offset<Table>> offsets;
+  offsets.reserve(values.size());
+  for (const T& value : values) offsets.push_back(write(builder, value));
+  return builder.CreateVector(offsets);
+}
+
+Offset<fbs::Resource> write_resource(Builder& builder, const Resource& r) {
+  const auto name = builder.CreateString(r.name);
+  const auto shape = builder.CreateVector(r.shape);
+  const fbs::Quantization quantization =
+      r.quantization ? fbs::Quantization(r.quantization->scale, r.quantization->zero_point)
+                     : fbs::Quantization();
+  return fbs::CreateResource(builder, name, static_cast<fbs::Category>(r.category),
+                             static_cast<uint32_t>(r.dtype), shape,
+                             r.quantization ? &quantization : nullptr, r.offset_bytes,
+                             r.size_bytes, static_cast<fbs::ImageFormat>(r.format), r.width,
+                             r.height, r.history_depth);
+}
+
+Offset<fbs::Binding> write_binding(Builder& builder, const Binding& b) {
+  return fbs::CreateBinding(builder, b.binding, static_cast<fbs::BindingType>(b.type), b.resource,
+                            static_cast<fbs::ImageFormat>(b.view_format), b.reads, b.writes,
+                            b.frames_back);
+}
+
+Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
+  const auto name = builder.CreateString(d.name);
+  const auto kernel = builder.CreateString(d.kernel);
+  const auto bindings = write_all<fbs::Binding>(builder, d.bindings, write_binding);
+  const auto cost = fbs::CreateCost(builder, d.cost.macs, d.cost.ops, d.cost.bytes_read,
+                                    d.cost.bytes_written, d.cost.time_us);
+  const fbs::Grid grid(d.workgroups[0], d.workgroups[1], d.workgroups[2]);
+  return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost);
+}
+
+Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
+  const auto name = builder.CreateString(s.name);
+  const auto dispatches = write_all<fbs::Dispatch>(builder, s.dispatches, write_dispatch);
+  return fbs::CreateSegment(builder, name, static_cast<fbs::SegmentKind>(s.kind), dispatches);
+}
+
+Offset<fbs::Module> write_module(Builder& builder, const Spirv& words) {
+  return fbs::CreateModule(builder, builder.CreateVector(words));
+}
+
+Offset<fbs::RangeProof> write_proof(Builder& builder, const RangeProof& p) {
+  const auto name = builder.CreateString(p.name);
+  const auto min = builder.CreateVector(p.min);
+  const auto max = builder.CreateVector(p.max);
+  const auto magnitude = builder.CreateVector(p.magnitude);
+  return fbs::CreateRangeProof(builder, name, min, max, magnitude);
+}
+
+Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
+  const auto target = builder.CreateString(v.target);
+  const Requirements& r = v.requirements;
+  const auto requirements = fbs::CreateRequirements(
+      builder, r.features.bits, r.workgroup_invocations, r.shared_bytes, r.storage_range_bytes,
+      r.texel_elements, r.storage_buffers, r.texel_buffers, r.storage_images);
+  const auto resources = write_all<fbs::Resource>(builder, v.resources, write_resource);
+  const auto segments = write_all<fbs::Segment>(builder, v.segments, write_segment);
+  const auto modules = write_all<fbs::Module>(builder, v.modules, write_module);
+  const auto proofs = write_all<fbs::RangeProof>(builder, v.proofs, write_proof);
+  return fbs::CreateVariant(builder, target, requirements, v.arena_bytes, resources, segments,
+                            modules, proofs);
+}
+
+// ---- Reading: verified tables to plain data. Enum values are copied unseen; check_package judges them.
+
+/// Copies out of a verified buffer. The verifier lets many references lead to one vector, so a small file
+/// could ask for any amount of memory: each copied part is paid for from the length of the file.
+class Copier {
+ public:
+  explicit Copier(size_t file_bytes) : left_(file_bytes) {}
+
+  bool overdrawn() const { return overdrawn_; }
+
+  std::string text(const flatbuffers::String* string) {
+    return string && pay(string->size()) ? string->str() : std::string();
+  }
+
+  template <typename T>
+  std::vector<T> scalars(const Vector<T>* vector) {
+    if (!vector || !pay(vector->size() * sizeof(T))) return {};
+    return std::vector<T>(vector->data(), vector->data() + vector->size());
+  }
+
+  template <typename Table, typename Read>
+  auto tables(const Vector<Offset<Table>>* vector, Read read) {
+    std::vector<decltype(read(*this, *vector->Get(0)))> values;
+    // A reference and the least that a table takes.
+    constexpr size_t kTableBytes = 8;
+    if (!pay(vector->size() * kTableBytes)) return values;
+    values.reserve(vector->size());
+    for (const Table* table : *vector) {
+      if (overdrawn_) break;
+      values.push_back(read(*this, *table));
+    }
+    return values;
+  }
+
+ private:
+  bool pay(size_t bytes) {
+    overdrawn_ = overdrawn_ || bytes > left_;
+    if (!overdrawn_) left_ -= bytes;
+    return !overdrawn_;
+  }
+
+  size_t left_;
+  bool overdrawn_ = false;
+};
+
+Resource read_resource(Copier& copy, const fbs::Resource& r) {
+  Resource resource;
+  resource.name = copy.text(r.name());
+  resource.category = static_cast<Category>(r.category());
+  resource.dtype = static_cast<DType>(r.dtype());
+  resource.shape = copy.scalars(r.shape());
+  if (const fbs::Quantization* q = r.quantization())
+    resource.quantization = Quantization{q->scale(), q->zero_point()};
+  resource.offset_bytes = r.offset_bytes();
+  resource.size_bytes = r.size_bytes();
+  resource.format = static_cast<ImageFormat>(r.format());
+  resource.width = r.width();
+  resource.height = r.height();
+  resource.history_depth = r.history_depth();
+  return resource;
+}
+
+Binding read_binding(Copier&, const fbs::Binding& b) {
+  return {.binding = b.binding(),
+          .type = static_cast<BindingType>(b.type()),
+          .resource = b.resource(),
+          .view_format = static_cast<ImageFormat>(b.view_format()),
+          .reads = b.reads(),
+          .writes = b.writes(),
+          .frames_back = b.frames_back()};
+}
+
+Dispatch read_dispatch(Copier& copy, const fbs::Dispatch& d) {
+  Dispatch dispatch;
+  dispatch.name = copy.text(d.name());
+  dispatch.kernel = copy.text(d.kernel());
+  dispatch.module = d.module_();
+  dispatch.workgroups = {d.workgroups()->x(), d.workgroups()->y(), d.workgroups()->z()};
+  dispatch.bindings = copy.tables(d.bindings(), read_binding);
+  const fbs::Cost& cost = *d.cost();
+  dispatch.cost = {cost.macs(), cost.ops(), cost.bytes_read(), cost.bytes_written(),
+                   cost.time_us()};
+  return dispatch;
+}
+
+Segment read_segment(Copier& copy, const fbs::Segment& s) {
+  Segment segment;
+  segment.name = copy.text(s.name());
+  segment.kind = static_cast<SegmentKind>(s.kind());
+  segment.dispatches = copy.tables(s.dispatches(), read_dispatch);
+  return segment;
+}
+
+Spirv read_module(Copier& copy, const fbs::Module& module) { return copy.scalars(module.words()); }
+
+RangeProof read_proof(Copier& copy, const fbs::RangeProof& p) {
+  RangeProof proof;
+  proof.name = copy.text(p.name());
+  proof.min = copy.scalars(p.min());
+  proof.max = copy.scalars(p.max());
+  proof.magnitude = copy.scalars(p.magnitude());
+  return proof;
+}
+
+Variant read_variant(Copier& copy, const fbs::Variant& v) {
+  Variant variant;
+  variant.target = copy.text(v.target());
+  const fbs::Requirements& r = *v.requirements();
+  variant.requirements = {.features = {r.features()},
+                          .workgroup_invocations = r.workgroup_invocations(),
+                          .shared_bytes = r.shared_bytes(),
+                          .storage_range_bytes = r.storage_range_bytes(),
+                          .texel_elements = r.texel_elements(),
+                          .storage_buffers = r.storage_buffers(),
+                          .texel_buffers = r.texel_buffers(),
+                          .storage_images = r.storage_images()};
+  variant.arena_bytes = v.arena_bytes();
+  variant.resources = copy.tables(v.resources(), read_resource);
+  variant.segments = copy.tables(v.segments(), read_segment);
+  variant.modules = copy.tables(v.modules(), read_module);
+  variant.proofs = copy.tables(v.proofs(), read_proof);
+  return variant;
+}
+
+Result<Package> read_aligned(std::span<const uint8_t> bytes) {
+  if (bytes.size() > kMaxPackageBytes)
+    return bad_input("", "{} bytes are more than the {} that are accepted", bytes.size(),
+                     kMaxPackageBytes);
+  if (!is_package(bytes)) return bad_input("", "is no .shale package: the identifier is missing");
+  const auto verifier = [&] { return flatbuffers::Verifier(bytes.data(), bytes.size()); };
+  if (!verifier().VerifyBuffer<fbs::Version>(fbs::PackageIdentifier()))
+    return bad_input("", "the package is damaged: its version cannot be read");
+  const fbs::Version& version = *flatbuffers::GetRoot<fbs::Version>(bytes.data());
+  if (version.major_version() > kPackageMajor)
+    return unsupported("", "package version {}.{} is newer than {}.{}, which this build reads",
+                       version.major_version(), version.minor_version(), kPackageMajor,
+                       kPackageMinor);
+  if (version.major_version() != kPackageMajor)
+    return bad_input("", "package version {}.{} does not exist", version.major_version(),
+                     version.minor_version());
+  if (bytes.size() % kFileAlignment != 0)
+    return bad_input("", "the package is damaged: {} bytes are no multiple of {}", bytes.size(),
+                     kFileAlignment);
+  if (!verifier().VerifyBuffer<fbs::Package>(fbs::PackageIdentifier()))
+    return bad_input("", "the package is damaged: offsets or lengths leave its {} bytes",
+                     bytes.size());
+  const fbs::Package& root = *fbs::GetPackage(bytes.data());
+  Copier copy(bytes.size());
+  Package package;
+  const fbs::Provenance& provenance = *root.provenance();
+  package.provenance = {provenance.model_hash(), copy.text(provenance.model_name()),
+                        copy.text(provenance.compiler()), copy.text(provenance.options())};
+  package.weights = copy.scalars(root.weights());
+  package.variants = copy.tables(root.variants(), read_variant);
+  if (copy.overdrawn()) return bad_input("", "the package is damaged: parts of it overlap");
+  SHALE_TRY_VOID(check_package(package));
+  return package;
+}
+
+}  // namespace
+
+const ImageFormatInfo& image_format_info(ImageFormat format) {
+  return kImageFormats[static_cast<uint32_t>(format)];
+}
+
+std::optional<ImageFormat> image_format_from_name(std::string_view name) {
+  for (const ImageFormatInfo& info : kImageFormats)
+    if (info.format != ImageFormat::kNone && info.name == name) return info.format;
+  return std::nullopt;
+}
+
+std::vector<uint8_t> write_package(const Package& package) {
+  Builder builder;
+  builder.Align(kFileAlignment);  // of the finished buffer; nothing is padded here
+  const Provenance& p = package.provenance;
+  const auto model_name = builder.CreateString(p.model_name);
+  const auto compiler = builder.CreateString(p.compiler);
+  const auto options = builder.CreateString(p.options);
+  const auto provenance =
+      fbs::CreateProvenance(builder, p.model_hash, model_name, compiler, options);
+  const auto variants = write_all<fbs::Variant>(builder, package.variants, write_variant);
+  const auto weights = builder.CreateVector(package.weights);
+  fbs::FinishPackageBuffer(builder, fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
+                                                       provenance, variants, weights));
+  return {builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize()};
+}
+
+Result<Package> read_package(std::span<const uint8_t> bytes) {
+  if (reinterpret_cast<uintptr_t>(bytes.data()) % kFileAlignment == 0) return read_aligned(bytes);
+  const std::vector<uint8_t> copy(bytes.begin(), bytes.end());  // 64-bit fields are read in place
+  return read_aligned(copy);
+}
+
+bool is_package(std::span<const uint8_t> bytes) {
+  // The root offset and the identifier.
+  return bytes.size() >= 8 && fbs::PackageBufferHasIdentifier(bytes.data());
+}
+
+}  // namespace shale

@@ -1,0 +1,223 @@
+// ir/package/package.h -- the contract between compiler and runtime: a compiled network as plain data.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "ir/base/dtype.h"
+#include "ir/base/result.h"
+#include "ir/package/caps.h"
+
+namespace shale {
+
+/// A reader refuses another major version; a minor version only adds fields with defaults.
+inline constexpr uint32_t kPackageMajor = 1;
+inline constexpr uint32_t kPackageMinor = 0;
+
+/// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
+/// that Vulkan allows a device to ask for storage and texel buffer offsets.
+inline constexpr uint64_t kBufferAlignment = 256;
+
+/// Vulkan guarantees grids up to this per axis, so no device has to be asked.
+inline constexpr uint32_t kMaxWorkgroups = 65535;
+
+/// Largest `.shale` file: FlatBuffers offsets end at 2 GiB.
+inline constexpr uint64_t kMaxPackageBytes = (uint64_t{1} << 31) - 8;
+
+/// Bounds that keep the arithmetic of readers free of overflow; no real network comes near them.
+inline constexpr uint64_t kMaxTensorBytes = uint64_t{1} << 40;
+inline constexpr uint32_t kMaxImageExtent = 16384;
+inline constexpr uint32_t kMaxHistoryDepth = 16;
+inline constexpr uint32_t kMaxBindings = 64;  ///< binding numbers of a dispatch are below this
+
+/// How a resource comes into being and who owns its memory.
+enum class Category : uint8_t {
+  kInput = 0,         ///< tensor bound by the caller (by the frame loop when a pass writes it)
+  kOutput = 1,        ///< tensor bound by the caller (by the frame loop when a pass reads it)
+  kIntermediate = 2,  ///< tensor in the arena
+  kWeights = 3,       ///< tensor in the weight blob
+  kImageInput = 4,    ///< image given by the host each frame
+  kImageOutput = 5,   ///< image given by the host each frame
+  kImageInternal = 6, ///< image of the frame loop, lives within a frame
+  kImageHistory = 7,  ///< ring of images of the frame loop, `history_depth` long
+};
+inline constexpr uint32_t kCategoryCount = 8;
+
+inline constexpr bool is_image(Category category) { return category >= Category::kImageInput; }
+
+enum class ImageFormat : uint8_t {
+  kNone = 0,
+  kRgba8Unorm = 1,
+  kRgba16Float = 2,
+  kRg16Float = 3,
+  kR32Float = 4,
+  kR8Unorm = 5,
+  kR32Uint = 6,
+  kRgba32Float = 7,
+  kR16Float = 8,
+  kRgba8Sint = 9,   ///< texel buffers of int8 tensors, four channels a texel
+  kR8Sint = 10,     ///< texel buffers of int8 tensors, one channel a texel
+};
+inline constexpr uint32_t kImageFormatCount = 11;
+
+/// Names as in frame.json ("rgba8_unorm") and in GLSL layouts ("rgba8"), bytes of a texel.
+struct ImageFormatInfo {
+  ImageFormat format;
+  const char* name;
+  const char* glsl;
+  uint32_t texel_bytes;
+};
+const ImageFormatInfo& image_format_info(ImageFormat format);
+std::optional<ImageFormat> image_format_from_name(std::string_view name);
+
+/// real = scale * (stored - zero_point).
+struct Quantization {
+  float scale = 1.0f;
+  int32_t zero_point = 0;
+  bool operator==(const Quantization&) const = default;
+};
+
+struct Resource {
+  std::string name;  ///< unique among the resources of a variant
+  Category category = Category::kIntermediate;
+  // Tensors:
+  DType dtype = DType::kUnknown;
+  std::vector<int64_t> shape;                 ///< NHWC for activations; row-major, dense
+  std::optional<Quantization> quantization;   ///< known only where frame.json states it
+  uint64_t offset_bytes = 0;  ///< in the arena (kIntermediate) or the weight blob (kWeights)
+  uint64_t size_bytes = 0;    ///< of a tensor
+  // Images:
+  ImageFormat format = ImageFormat::kNone;
+  uint32_t width = 0, height = 0;
+  uint32_t history_depth = 0;  ///< kImageHistory: number of images in the ring, at least 2
+  bool operator==(const Resource&) const = default;
+};
+
+/// Bytes that a buffer descriptor of a tensor spans: its size, rounded up to whole 32-bit words, so that
+/// kernels may address int8 tensors by words. What the last word holds beyond the tensor means nothing.
+inline constexpr uint64_t bound_bytes(const Resource& tensor) {
+  return (tensor.size_bytes + 3) / 4 * 4;
+}
+
+enum class BindingType : uint8_t {
+  kStorageBuffer = 0,
+  kUniformTexelBuffer = 1,  ///< `view_format` tells how elements are read
+  kSampledImage = 2,        ///< read by texelFetch, no sampler
+  kStorageImage = 3,
+};
+inline constexpr uint32_t kBindingTypeCount = 4;
+
+/// One descriptor of set 0: the whole of a resource.
+struct Binding {
+  uint32_t binding = 0;
+  BindingType type = BindingType::kStorageBuffer;
+  uint32_t resource = 0;  ///< index into Variant::resources
+  ImageFormat view_format = ImageFormat::kNone;
+  bool reads = false;
+  bool writes = false;
+  uint32_t frames_back = 0;  ///< kImageHistory: 0 is this frame's image, 1 the previous one's
+  bool operator==(const Binding&) const = default;
+};
+
+/// Predicted by compiler/cost; times in microseconds.
+struct Cost {
+  uint64_t macs = 0;
+  uint64_t ops = 0;            ///< integer operations that are no MAC
+  uint64_t bytes_read = 0;
+  uint64_t bytes_written = 0;
+  double time_us = 0;
+  bool operator==(const Cost&) const = default;
+};
+
+struct Dispatch {
+  std::string name;     ///< unique in a variant: joins predicted with measured times
+  std::string kernel;   ///< family name, such as "conv2d_s8_f32exact"
+  uint32_t module = 0;  ///< index into Variant::modules
+  std::array<uint32_t, 3> workgroups{1, 1, 1};
+  std::vector<Binding> bindings;
+  Cost cost;
+  bool operator==(const Dispatch&) const = default;
+};
+
+enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1 };
+
+/// Dispatches in order. A pre or post pass is a kCompute segment around the kGraph segment.
+struct Segment {
+  std::string name;
+  SegmentKind kind = SegmentKind::kGraph;
+  std::vector<Dispatch> dispatches;
+  bool operator==(const Segment&) const = default;
+};
+
+/// Static bounds of a convolution's accumulators, from the actual weights; per output channel.
+struct RangeProof {
+  std::string name;             ///< the convolution's result value
+  std::vector<int64_t> min, max;  ///< of the final accumulator, bias included
+  std::vector<int64_t> magnitude; ///< of any partial sum in any order, bias left out
+  bool operator==(const RangeProof&) const = default;
+};
+
+/// A module's words; entry point "main", local size fixed in the words.
+using Spirv = std::vector<uint32_t>;
+
+struct Variant {
+  std::string target;  ///< name of the DeviceProfile it was made for
+  Requirements requirements;
+  uint64_t arena_bytes = 0;
+  std::vector<Resource> resources;
+  std::vector<Segment> segments;
+  std::vector<Spirv> modules;
+  std::vector<RangeProof> proofs;
+  bool operator==(const Variant&) const = default;
+};
+
+/// How a package came about; no paths, no times.
+struct Provenance {
+  uint64_t model_hash = 0;  ///< stable_hash of the model file
+  std::string model_name;
+  std::string compiler;     ///< "shale 0.1.0"
+  std::string options;      ///< canonical text of the options that shape the result
+  bool operator==(const Provenance&) const = default;
+};
+
+struct Package {
+  Provenance provenance;
+  std::vector<Variant> variants;  ///< the runtime takes the first that the device meets
+  std::vector<uint8_t> weights;   ///< shared by the variants
+  bool operator==(const Package&) const = default;
+};
+
+/// The part of a variant's requirements that follows from its bindings: storage_range_bytes,
+/// texel_elements, storage_buffers, texel_buffers, storage_images; the others keep their defaults.
+/// The variant's indices must be sound (check_package).
+Requirements binding_requirements(const Variant& variant);
+
+/// Everything that the runtime relies on, on plain data: enum values, indices, ranges inside the arena
+/// and the weight blob, sizes that follow from shapes, alignments, unique names without control
+/// characters, binding rules, SPIR-V magic and length, grids in 1..kMaxWorkgroups, history rules, one
+/// graph segment per variant, requirements that cover the bindings.
+/// The body of the SPIR-V is not judged: a driver gets it as it gets any application's shader.
+/// Errors: kBadInput, naming what and where ('variant 0, dispatch "conv1", binding 2: ...').
+Result<void> check_package(const Package& package);
+
+/// Same package, same bytes. `package` must pass check_package; the result then passes read_package.
+std::vector<uint8_t> write_package(const Package& package);
+
+/// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum values, then
+/// check_package. Memory and time are bounded by the length of the file.
+/// Errors: kBadInput (or kUnsupported for a newer major version), naming what and where.
+Result<Package> read_package(std::span<const uint8_t> bytes);
+
+/// True if the bytes carry the `.shale` file identifier.
+bool is_package(std::span<const uint8_t> bytes);
+
+/// For people: provenance, requirements, resources, segments, dispatches, proofs. `package` must pass
+/// check_package.
+std::string dump_package(const Package& package);
+
+}  // namespace shale

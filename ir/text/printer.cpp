@@ -1,0 +1,90 @@
+#include <algorithm>
+#include <cctype>
+
+#include "ir/text/text.h"
+
+namespace shale {
+namespace {
+
+bool is_plain(const std::string& name) {
+  return !name.empty() && std::all_of(name.begin(), name.end(), [](unsigned char c) {
+    return std::isalnum(c) != 0 || c == '_' || c == '.' || c == '$' || c == '/' || c == '-';
+  });
+}
+
+std::string quoted(const std::string& name) {
+  std::string text = "\"";
+  for (const char c : name) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (c == '"' || c == '\\') text += {'\\', c};
+    else if (byte < 32 || byte == 127) text += fmt::format("\\x{:02x}", byte);
+    else text += c;
+  }
+  return text + "\"";
+}
+
+std::string reference(const Graph& graph, ValueId id) {
+  const std::string& name = graph.value(id).name;
+  return "%" + (is_plain(name) ? name : quoted(name));
+}
+
+std::string references(const Graph& graph, const std::vector<ValueId>& ids) {
+  std::string text;
+  for (const ValueId id : ids) text += (text.empty() ? "" : ", ") + reference(graph, id);
+  return text;
+}
+
+std::string attribute(const AttrInfo& info, std::span<const int64_t> values) {
+  const std::span<const std::string_view> names = attr_value_names(info.kind);
+  const int64_t value = values.empty() ? 0 : values[0];
+  const bool in_range = value >= 0 && static_cast<size_t>(value) < names.size();
+  std::string text = std::string(info.name) + "=";
+  if (info.kind == AttrKind::kIntList) return text + fmt::format("[{}]", fmt::join(values, ","));
+  if (info.kind == AttrKind::kBool) return text + (value != 0 ? "true" : "false");
+  if (info.kind == AttrKind::kDType && value >= 0 && is_dtype(static_cast<uint32_t>(value)))
+    return text + std::string(dtype_info(static_cast<DType>(value)).name);
+  if (in_range) return text + std::string(names[static_cast<size_t>(value)]);
+  return text + std::to_string(value);
+}
+
+std::string constant(const Tensor& tensor) {
+  if (tensor.count() <= kMaxListedElements)
+    return fmt::format("[{}]", fmt::join(tensor.ints(), ","));
+  std::string text = "hex \"";
+  text.reserve(tensor.bytes.size() * 2 + 8);
+  for (const uint8_t byte : tensor.bytes) {
+    text += "0123456789abcdef"[byte >> 4];
+    text += "0123456789abcdef"[byte & 15];
+  }
+  return text + "\"";
+}
+
+}  // namespace
+
+std::string print_text(const Graph& graph) {
+  std::string text = fmt::format("graph {} {{\n", is_plain(graph.name) ? graph.name : quoted(graph.name));
+  for (const ValueId id : graph.inputs)
+    text += fmt::format("  input {} : {}\n", reference(graph, id), type_text(graph.value(id).type));
+  for (uint32_t i = 0; i < graph.values.size(); ++i) {
+    const Value& value = graph.values[i];
+    if (value.is_constant())
+      text += fmt::format("  const {} : {} = {}\n", reference(graph, {i}), type_text(value.type),
+                          constant(*value.constant));
+  }
+  for (const Node& node : graph.nodes) {
+    const OpInfo& info = op_info(node.op);
+    text += fmt::format("  {} = {} {}", reference(graph, node.output), info.name,
+                        references(graph, node.inputs));
+    std::string attributes;
+    for (const Attr attr : info.attrs)
+      if (node.attrs.has(attr))
+        attributes += (attributes.empty() ? "" : ", ") + attribute(attr_info(attr), node.attrs.list(attr));
+    if (!attributes.empty()) text += " {" + attributes + "}";
+    text += " : " + type_text(graph.value(node.output).type);
+    if (node.group != 0) text += fmt::format(" @{}", node.group);
+    text += '\n';
+  }
+  return text + fmt::format("  return {}\n}}\n", references(graph, graph.outputs));
+}
+
+}  // namespace shale

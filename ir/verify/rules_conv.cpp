@@ -1,0 +1,112 @@
+// ir/verify/rules_conv.cpp -- convolutions and matmul. Source: TOSA 1.0, tensor operators.
+#include <algorithm>
+
+#include "ir/verify/rule.h"
+
+namespace shale {
+namespace {
+
+enum ConvOperand : size_t { kInput, kWeight, kBias, kInputZp, kWeightZp };
+
+struct ConvTypes {
+  DType input;
+  DType weight;
+  DType result;  ///< of bias and accumulator too
+};
+constexpr std::array<ConvTypes, 3> kConvTypes{{
+    {DType::kInt8, DType::kInt8, DType::kInt32},
+    {DType::kInt8, DType::kInt4, DType::kInt32},
+    {DType::kInt16, DType::kInt8, DType::kInt48},
+}};
+
+/// What all convolutions share: types, zero points, channels, bias. Returns the element type of the
+/// result.
+Result<DType> conv_result_dtype(const RuleContext& node, int64_t weight_channels,
+                                int64_t out_channels) {
+  const auto row = std::ranges::find_if(kConvTypes, [&](const ConvTypes& types) {
+    return types.input == node.dtype(kInput) && types.weight == node.dtype(kWeight);
+  });
+  if (row == kConvTypes.end())
+    return node.bad("{} and {}: expected element types i8 and i8, i8 and i4, or i16 and i8",
+                    node.describe(kInput), node.describe(kWeight));
+  const DType acc_type = static_cast<DType>(node.attrs().get(Attr::kAccType));
+  if (acc_type != row->result)
+    return node.bad("acc_type is {}, expected {} for {}", dtype_info(acc_type).wire,
+                    dtype_info(row->result).wire, node.describe(kInput));
+  if (weight_channels != node.shape(kInput).back())
+    return node.bad("{} expects {} input channels, found {} in {}", node.describe(kWeight),
+                    weight_channels, node.shape(kInput).back(), node.describe(kInput));
+  if (node.type(kBias) != TensorType{row->result, {1}})
+    SHALE_TRY_VOID(node.expect_type(kBias, {row->result, {out_channels}}));
+  SHALE_TRY_VOID(node.expect_zero_point(kInputZp, row->input));
+  SHALE_TRY_VOID(node.expect_zero_point(kWeightZp, row->weight));
+  return row->result;
+}
+
+}  // namespace
+
+Result<TensorType> rule_conv(const RuleContext& node) {
+  const bool depthwise = node.op() == Op::kDepthwiseConv2d;
+  const Shape& input = node.shape(kInput);
+  const Shape& weight = node.shape(kWeight);
+  SHALE_TRY_VOID(node.expect_rank(kWeight, input.size()));
+  const size_t axes = input.size() - 2;
+  // Weights are [oc, (kd,) kh, kw, ic], or [kh, kw, c, m] with output channel c * m_count + m.
+  const size_t first_axis = depthwise ? 0 : 1;
+  const int64_t out_channels = depthwise ? weight[2] * weight[3] : weight[0];
+  SHALE_TRY(const DType dtype,
+            conv_result_dtype(node, weight[depthwise ? 2 : axes + 1], out_channels));
+  SHALE_TRY(const auto pad, node.list(Attr::kPad, 2 * axes, 0, kMaxKernel));
+  SHALE_TRY(const auto stride, node.list(Attr::kStride, axes, 1, kMaxStride));
+  SHALE_TRY(const auto dilation, node.list(Attr::kDilation, axes, 1, kMaxKernel));
+
+  Shape result{input[0]};
+  for (size_t i = 0; i < axes; ++i) {
+    const int64_t kernel = weight[first_axis + i];
+    if (dilation[i] * kernel > kMaxKernel)
+      return node.beyond("dilation {} times kernel size {} is above {}, the limit of level 8K",
+                         dilation[i], kernel, kMaxKernel);
+    SHALE_TRY(const int64_t size,
+              node.window_count(i + 1, input[i + 1], pad[2 * i], pad[2 * i + 1],
+                                (kernel - 1) * dilation[i] + 1, stride[i]));
+    result.push_back(size);
+  }
+  result.push_back(out_channels);
+  return TensorType{dtype, result};
+}
+
+Result<TensorType> rule_transpose_conv2d(const RuleContext& node) {
+  const Shape& input = node.shape(kInput);
+  const Shape& weight = node.shape(kWeight);
+  SHALE_TRY_VOID(node.expect_rank(kWeight, 4));
+  SHALE_TRY(const DType dtype, conv_result_dtype(node, weight[3], weight[0]));
+  SHALE_TRY(const auto out_pad, node.list(Attr::kOutPad, 4, -kMaxKernel, kMaxKernel));
+  SHALE_TRY(const auto stride, node.list(Attr::kStride, 2, 1, kMaxStride));
+
+  Shape result{input[0]};
+  for (size_t i = 0; i < 2; ++i) {
+    const int64_t kernel = weight[i + 1];
+    if (kernel > kMaxKernel)
+      return node.beyond("kernel size {} is above {}, the limit of level 8K", kernel, kMaxKernel);
+    for (const int64_t pad : out_pad.subspan(2 * i, 2))
+      if (pad <= -kernel)
+        return node.bad("out_pad has {}, expected above {} for {}", pad, -kernel,
+                        node.describe(kWeight));
+    result.push_back((input[i + 1] - 1) * stride[i] + out_pad[2 * i] + out_pad[2 * i + 1] + kernel);
+  }
+  result.push_back(weight[0]);
+  return TensorType{dtype, result};
+}
+
+Result<TensorType> rule_matmul(const RuleContext& node) {
+  const Shape& a = node.shape(0);
+  SHALE_TRY_VOID(node.expect_rank(1, 3));
+  const int64_t columns = node.shape(1)[2];
+  SHALE_TRY_VOID(node.expect_type(1, {node.dtype(0), {a[0], a[2], columns}}));
+  SHALE_TRY_VOID(node.expect_zero_point(2, node.dtype(0)));
+  SHALE_TRY_VOID(node.expect_zero_point(3, node.dtype(0)));
+  const DType dtype = node.dtype(0) == DType::kInt8 ? DType::kInt32 : DType::kInt48;
+  return TensorType{dtype, {a[0], a[1], columns}};
+}
+
+}  // namespace shale

@@ -1,0 +1,290 @@
+#include "runtime/datagraph/dispatch.h"
+
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <atomic>
+#include <map>
+#include <thread>
+
+#include "runtime/vk/commands.h"
+
+namespace shale {
+namespace {
+
+VkDescriptorType descriptor_type(BindingType type) {
+  switch (type) {
+    case BindingType::kStorageBuffer: return VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
+    case BindingType::kUniformTexelBuffer: return VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER;
+    case BindingType::kSampledImage: return VK_DESCRIPTOR_TYPE_SAMPLED_IMAGE;
+    case BindingType::kStorageImage: return VK_DESCRIPTOR_TYPE_STORAGE_IMAGE;
+  }
+  return VK_DESCRIPTOR_TYPE_MAX_ENUM;
+}
+
+/// Descriptor types by binding number: dispatches with equal ones share a layout.
+using LayoutKey = std::map<uint32_t, VkDescriptorType>;
+
+LayoutKey layout_key(const Dispatch& dispatch) {
+  LayoutKey key;
+  for (const Binding& binding : dispatch.bindings)
+    key[binding.binding] = descriptor_type(binding.type);
+  return key;
+}
+
+Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& key) {
+  std::vector<VkDescriptorSetLayoutBinding> bindings;
+  for (const auto& [number, type] : key)
+    bindings.push_back({number, type, 1, VK_SHADER_STAGE_COMPUTE_BIT, nullptr});
+  auto info = vk::init<VkDescriptorSetLayoutCreateInfo>(
+      VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
+  info.bindingCount = static_cast<uint32_t>(bindings.size());
+  info.pBindings = bindings.data();
+  return vk::make<vk::SetLayoutHandle>(vkCreateDescriptorSetLayout, "vkCreateDescriptorSetLayout",
+                                       device, info);
+}
+
+Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetLayout set_layout) {
+  auto info =
+      vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
+  info.setLayoutCount = 1;
+  info.pSetLayouts = &set_layout;
+  return vk::make<vk::PipelineLayoutHandle>(vkCreatePipelineLayout, "vkCreatePipelineLayout",
+                                            device, info);
+}
+
+Result<vk::PipelineHandle> create_pipeline(VkDevice device, const Spirv& words,
+                                           VkPipelineLayout layout, VkPipelineCache cache) {
+  auto module_info = vk::init<VkShaderModuleCreateInfo>(VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
+  module_info.codeSize = words.size() * sizeof(uint32_t);
+  module_info.pCode = words.data();
+  SHALE_TRY(const auto module,
+            vk::make<vk::ShaderModuleHandle>(vkCreateShaderModule, "vkCreateShaderModule", device,
+                                             module_info));
+  auto info = vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
+  info.layout = layout;
+  info.stage = vk::init<VkPipelineShaderStageCreateInfo>(
+      VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO);
+  info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
+  info.stage.module = module.get();
+  info.stage.pName = "main";
+  VkPipeline pipeline = VK_NULL_HANDLE;
+  SHALE_TRY_VOID(vk::check(vkCreateComputePipelines(device, cache, 1, &info, nullptr, &pipeline),
+                           "vkCreateComputePipelines"));
+  return vk::PipelineHandle(device, pipeline);
+}
+
+/// Calls work(0) ... work(count - 1), on all cores.
+void run_on_all_cores(size_t count, const std::function<void(size_t)>& work) {
+  std::atomic<size_t> next = 0;
+  const auto loop = [&] {
+    for (size_t i = next++; i < count; i = next++) work(i);
+  };
+  const size_t helpers =
+      std::min<size_t>(count, std::max(1u, std::thread::hardware_concurrency())) - (count ? 1 : 0);
+  std::vector<std::jthread> threads;
+  for (size_t i = 0; i < helpers; ++i) threads.emplace_back(loop);
+  loop();
+}
+
+}  // namespace
+
+Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps) {
+  std::string reasons;
+  for (uint32_t i = 0; i < package.variants.size(); ++i) {
+    const Variant& variant = package.variants[i];
+    const std::vector<std::string> lines = missing(caps, variant.requirements);
+    if (lines.empty()) return i;
+    reasons += fmt::format("{} variant {} \"{}\": {}", i ? ";" : "", i, variant.target,
+                           fmt::join(lines, ", "));
+  }
+  return device_error(caps.name, "runs no variant of the package:{}", reasons);
+}
+
+Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context,
+                                                 const Package& package, Scope scope,
+                                                 VkPipelineCache cache) {
+  SHALE_TRY_VOID(check_package(package));
+  SHALE_TRY(const uint32_t index, choose_variant(package, context.caps));
+  const Variant& variant = package.variants[index];
+  std::unique_ptr<Kernels> result(new Kernels);
+  result->context_ = context;
+  result->variant_ = variant;
+  result->variant_.modules.clear();
+
+  std::vector<const Dispatch*> dispatches;
+  std::vector<std::vector<Access>> touched;
+  for (const Segment& segment : result->variant_.segments) {
+    if (scope == Scope::kGraph && segment.kind != SegmentKind::kGraph) continue;
+    for (const Dispatch& dispatch : segment.dispatches) {
+      dispatches.push_back(&dispatch);
+      touched.push_back(accesses(result->variant_, dispatch));
+    }
+  }
+  SHALE_TRY_VOID(result->create_pipelines(variant, dispatches, cache));
+  const std::vector<bool> barriers = plan_barriers(touched);
+  for (size_t i = 0; i < barriers.size(); ++i) result->steps_[i].barrier_before = barriers[i];
+
+  if (!package.weights.empty()) {
+    SHALE_TRY(result->weights_,
+              vk::upload(context, package.weights, padded_bytes(package.weights.size()),
+                         kTensorBufferUsage));
+  }
+  return result;
+}
+
+Result<void> Kernels::create_pipelines(const Variant& variant,
+                                       std::span<const Dispatch* const> dispatches,
+                                       VkPipelineCache cache) {
+  struct Wanted {
+    uint32_t module;
+    size_t layout;
+  };
+  std::map<LayoutKey, size_t> layout_index;
+  std::map<std::pair<uint32_t, size_t>, size_t> pipeline_index;
+  std::vector<Wanted> wanted;
+  std::vector<size_t> pipeline_of_step;
+  for (const Dispatch* dispatch : dispatches) {
+    const auto [layout, new_layout] =
+        layout_index.try_emplace(layout_key(*dispatch), layouts_.size());
+    if (new_layout) {
+      SHALE_TRY(set_layouts_.emplace_back(), create_set_layout(context_.device, layout->first));
+      SHALE_TRY(layouts_.emplace_back(),
+                create_layout(context_.device, set_layouts_.back().get()));
+    }
+    const auto [pipeline, new_pipeline] =
+        pipeline_index.try_emplace({dispatch->module, layout->second}, wanted.size());
+    if (new_pipeline) wanted.push_back({dispatch->module, layout->second});
+    pipeline_of_step.push_back(pipeline->second);
+    steps_.push_back({.dispatch = dispatch,
+                      .set_layout = set_layouts_[layout->second].get(),
+                      .layout = layouts_[layout->second].get()});
+  }
+
+  pipelines_.resize(wanted.size());
+  std::vector<Result<void>> outcomes(wanted.size());
+  run_on_all_cores(wanted.size(), [&](size_t i) {
+    auto pipeline = create_pipeline(context_.device, variant.modules[wanted[i].module],
+                                    layouts_[wanted[i].layout].get(), cache);
+    if (pipeline) {
+      pipelines_[i] = std::move(*pipeline);
+    } else {
+      outcomes[i] = std::move(pipeline.error());
+    }
+  });
+  for (size_t i = 0; i < steps_.size(); ++i) {
+    Result<void>& outcome = outcomes[pipeline_of_step[i]];
+    if (!outcome) {
+      outcome.error().where = fmt::format("dispatch \"{}\": {}", steps_[i].dispatch->name,
+                                          outcome.error().where);
+      return std::move(outcome.error());
+    }
+    steps_[i].pipeline = pipelines_[pipeline_of_step[i]].get();
+  }
+  return {};
+}
+
+uint64_t Kernels::tensor_alignment() const {
+  return std::max(context_.limits.minStorageBufferOffsetAlignment,
+                  context_.limits.minTexelBufferOffsetAlignment);
+}
+
+Result<DescriptorSets> DescriptorSets::create(const Kernels& kernels,
+                                              std::span<const Step* const> steps) {
+  DescriptorSets result;
+  result.kernels_ = &kernels;
+  result.steps_.assign(steps.begin(), steps.end());
+  result.sets_.resize(steps.size());
+  result.texel_views_.resize(steps.size());
+  if (steps.empty()) return result;
+
+  std::map<VkDescriptorType, uint32_t> counts;
+  std::vector<VkDescriptorSetLayout> layouts;
+  for (const Step* step : steps) {
+    for (const Binding& binding : step->dispatch->bindings)
+      ++counts[descriptor_type(binding.type)];
+    layouts.push_back(step->set_layout);
+  }
+  std::vector<VkDescriptorPoolSize> sizes;
+  for (const auto& [type, count] : counts) sizes.push_back({type, count});
+  // A pool must offer something, even if no dispatch binds anything.
+  if (sizes.empty()) sizes.push_back({VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, 1});
+  const VkDevice device = kernels.context().device;
+  auto pool_info =
+      vk::init<VkDescriptorPoolCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO);
+  pool_info.maxSets = static_cast<uint32_t>(steps.size());
+  pool_info.poolSizeCount = static_cast<uint32_t>(sizes.size());
+  pool_info.pPoolSizes = sizes.data();
+  SHALE_TRY(result.pool_, vk::make<vk::DescriptorPoolHandle>(
+                              vkCreateDescriptorPool, "vkCreateDescriptorPool", device,
+                              pool_info));
+  auto set_info =
+      vk::init<VkDescriptorSetAllocateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO);
+  set_info.descriptorPool = result.pool_.get();
+  set_info.descriptorSetCount = static_cast<uint32_t>(layouts.size());
+  set_info.pSetLayouts = layouts.data();
+  SHALE_TRY_VOID(vk::check(vkAllocateDescriptorSets(device, &set_info, result.sets_.data()),
+                           "vkAllocateDescriptorSets"));
+  return result;
+}
+
+Result<void> DescriptorSets::write(size_t index,
+                                   const std::function<Target(const Binding&)>& target) {
+  const VkDevice device = kernels_->context().device;
+  const std::vector<Binding>& bindings = steps_[index]->dispatch->bindings;
+  std::vector<VkDescriptorBufferInfo> buffers(bindings.size());
+  std::vector<VkDescriptorImageInfo> images(bindings.size());
+  std::vector<vk::BufferViewHandle> views;
+  std::vector<VkBufferView> texels(bindings.size());
+  std::vector<VkWriteDescriptorSet> writes;
+  for (size_t i = 0; i < bindings.size(); ++i) {
+    const Binding& binding = bindings[i];
+    const Resource& resource = kernels_->variant().resources[binding.resource];
+    const Target to = target(binding);
+    buffers[i] = {to.buffer, to.offset, bound_bytes(resource)};
+    images[i] = {VK_NULL_HANDLE, to.view, VK_IMAGE_LAYOUT_GENERAL};
+    if (binding.type == BindingType::kUniformTexelBuffer) {
+      auto info = vk::init<VkBufferViewCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_VIEW_CREATE_INFO);
+      info.buffer = to.buffer;
+      info.format = vk::vk_format(binding.view_format);
+      info.offset = to.offset;
+      info.range = resource.size_bytes;
+      SHALE_TRY(views.emplace_back(),
+                vk::make<vk::BufferViewHandle>(vkCreateBufferView, "vkCreateBufferView", device,
+                                               info));
+      texels[i] = views.back().get();
+    }
+    auto write = vk::init<VkWriteDescriptorSet>(VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET);
+    write.dstSet = sets_[index];
+    write.dstBinding = binding.binding;
+    write.descriptorCount = 1;
+    write.descriptorType = descriptor_type(binding.type);
+    write.pBufferInfo = &buffers[i];
+    write.pImageInfo = &images[i];
+    write.pTexelBufferView = &texels[i];
+    writes.push_back(write);
+  }
+  vkUpdateDescriptorSets(device, static_cast<uint32_t>(writes.size()), writes.data(), 0, nullptr);
+  texel_views_[index] = std::move(views);
+  return {};
+}
+
+void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
+                  std::span<const VkDescriptorSet> sets, vk::Timestamps* timestamps) {
+  if (timestamps) timestamps->start(commands);
+  for (size_t i = 0; i < steps.size(); ++i) {
+    const Step& step = steps[i];
+    if (step.barrier_before)
+      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                         VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                         VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
+    vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
+    vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],
+                            0, nullptr);
+    const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
+    vkCmdDispatch(commands, grid[0], grid[1], grid[2]);
+    if (timestamps) timestamps->mark(commands);
+  }
+}
+
+}  // namespace shale

@@ -1,0 +1,112 @@
+// runtime/datagraph/dispatch.h -- what sessions and frame loops share: the compute pipelines of a variant,
+// the descriptor sets of its dispatches, and their recording. Not part of the public interface.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "ir/package/package.h"
+#include "runtime/datagraph/barriers.h"
+#include "runtime/vk/device.h"
+#include "runtime/vk/handle.h"
+#include "runtime/vk/memory.h"
+#include "runtime/vk/timestamps.h"
+
+namespace shale {
+
+/// Usage of every buffer that holds tensors.
+inline constexpr VkBufferUsageFlags kTensorBufferUsage =
+    VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT |
+    VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+
+/// Bytes of a buffer that holds a pool of tensors: room for the last one's last word.
+inline constexpr uint64_t padded_bytes(uint64_t pool_bytes) {
+  return (pool_bytes + kBufferAlignment - 1) / kBufferAlignment * kBufferAlignment;
+}
+
+/// A dispatch ready to be recorded; handles belong to Kernels.
+struct Step {
+  const Dispatch* dispatch = nullptr;
+  VkDescriptorSetLayout set_layout = VK_NULL_HANDLE;
+  VkPipelineLayout layout = VK_NULL_HANDLE;
+  VkPipeline pipeline = VK_NULL_HANDLE;
+  bool barrier_before = false;
+};
+
+/// Which segments of a variant are made ready.
+enum class Scope { kGraph, kFrame };
+
+/// One variant of a package on a device. Its address is kept by what is made from it.
+class Kernels {
+ public:
+  /// Takes the first variant that the device meets, creates one pipeline per unique module and descriptor
+  /// layout, on all cores, and uploads the weights. `cache` may be VK_NULL_HANDLE.
+  /// Errors: kBadInput (check_package), kDevice (no variant fits, telling why for each; or the device
+  /// refuses).
+  static Result<std::unique_ptr<Kernels>> create(const vk::Context& context,
+                                                 const Package& package, Scope scope,
+                                                 VkPipelineCache cache);
+
+  const vk::Context& context() const { return context_; }
+  /// Without the words of its modules.
+  const Variant& variant() const { return variant_; }
+  /// The dispatches of the scope, in order, with the barriers between them.
+  std::span<const Step> steps() const { return steps_; }
+  VkBuffer weights() const { return weights_.get(); }
+
+  /// Offsets of caller's buffers must be multiples of this.
+  uint64_t tensor_alignment() const;
+
+ private:
+  Kernels() = default;
+  Result<void> create_pipelines(const Variant& variant, std::span<const Dispatch* const> dispatches,
+                                VkPipelineCache cache);
+
+  vk::Context context_;
+  Variant variant_;
+  vk::Buffer weights_;
+  std::vector<vk::SetLayoutHandle> set_layouts_;
+  std::vector<vk::PipelineLayoutHandle> layouts_;
+  std::vector<vk::PipelineHandle> pipelines_;
+  std::vector<Step> steps_;
+};
+
+/// What a binding leads to: a buffer from `offset` on, or the view of an image in VK_IMAGE_LAYOUT_GENERAL.
+struct Target {
+  VkBuffer buffer = VK_NULL_HANDLE;
+  uint64_t offset = 0;
+  VkImageView view = VK_NULL_HANDLE;
+};
+
+/// Descriptor sets, one for each of the steps given to create.
+class DescriptorSets {
+ public:
+  /// Errors: kDevice.
+  static Result<DescriptorSets> create(const Kernels& kernels, std::span<const Step* const> steps);
+
+  /// Points set `index` at what `target` answers for each binding of its dispatch. No pending command
+  /// buffer may use the set. Errors: kDevice.
+  Result<void> write(size_t index, const std::function<Target(const Binding&)>& target);
+
+  VkDescriptorSet operator[](size_t index) const { return sets_[index]; }
+
+ private:
+  const Kernels* kernels_ = nullptr;
+  vk::DescriptorPoolHandle pool_;
+  std::vector<const Step*> steps_;
+  std::vector<VkDescriptorSet> sets_;                         // freed with their pool
+  std::vector<std::vector<vk::BufferViewHandle>> texel_views_;  // by set
+};
+
+/// Records the steps in order, each with its set and the barrier before it; `timestamps` may be null and
+/// otherwise is started and marked after each step.
+void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
+                  std::span<const VkDescriptorSet> sets, vk::Timestamps* timestamps);
+
+/// Index of the first variant that a device with `caps` can run.
+/// Errors: kDevice, telling what is missing for each variant.
+Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps);
+
+}  // namespace shale

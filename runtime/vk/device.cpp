@@ -1,0 +1,166 @@
+#include "runtime/vk/device.h"
+
+#include <algorithm>
+
+#include "runtime/vk/handle.h"
+
+namespace shale::vk {
+namespace {
+
+/// The feature structs of Vulkan 1.0 to 1.3, chained; never moved.
+struct Features {
+  VkPhysicalDeviceVulkan13Features v13 = init<VkPhysicalDeviceVulkan13Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES);
+  VkPhysicalDeviceVulkan12Features v12 = init<VkPhysicalDeviceVulkan12Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES);
+  VkPhysicalDeviceVulkan11Features v11 = init<VkPhysicalDeviceVulkan11Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_FEATURES);
+  VkPhysicalDeviceFeatures2 v10 = init<VkPhysicalDeviceFeatures2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2);
+
+  Features() {
+    v10.pNext = &v11;
+    v11.pNext = &v12;
+    v12.pNext = &v13;
+  }
+  Features(const Features&) = delete;
+  Features& operator=(const Features&) = delete;
+};
+
+/// One line ties a feature bit to its Vulkan member, for asking and for enabling.
+struct FeatureMember {
+  Feature feature;
+  VkBool32& (*member)(Features&);
+};
+constexpr FeatureMember kFeatureMembers[] = {
+    {Feature::kStorageBuffer8,
+     [](Features& f) -> VkBool32& { return f.v12.storageBuffer8BitAccess; }},
+    {Feature::kStorageBuffer16,
+     [](Features& f) -> VkBool32& { return f.v11.storageBuffer16BitAccess; }},
+    {Feature::kInt8, [](Features& f) -> VkBool32& { return f.v12.shaderInt8; }},
+    {Feature::kInt16, [](Features& f) -> VkBool32& { return f.v10.features.shaderInt16; }},
+    {Feature::kInt64, [](Features& f) -> VkBool32& { return f.v10.features.shaderInt64; }},
+    {Feature::kFloat16, [](Features& f) -> VkBool32& { return f.v12.shaderFloat16; }},
+    {Feature::kDotProduct8,
+     [](Features& f) -> VkBool32& { return f.v13.shaderIntegerDotProduct; }},
+};
+
+std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {
+  uint32_t count = 0;
+  vkGetPhysicalDeviceQueueFamilyProperties(device, &count, nullptr);
+  std::vector<VkQueueFamilyProperties> families(count);
+  vkGetPhysicalDeviceQueueFamilyProperties(device, &count, families.data());
+  return families;
+}
+
+}  // namespace
+
+DeviceCaps snapshot_caps(VkPhysicalDevice device) {
+  auto v11 = init<VkPhysicalDeviceVulkan11Properties>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES);
+  auto v12 = init<VkPhysicalDeviceVulkan12Properties>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_PROPERTIES);
+  auto v10 = init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
+  v10.pNext = &v11;
+  v11.pNext = &v12;
+  vkGetPhysicalDeviceProperties2(device, &v10);
+  Features features;
+  vkGetPhysicalDeviceFeatures2(device, &features.v10);
+
+  const VkPhysicalDeviceLimits& limits = v10.properties.limits;
+  DeviceCaps caps;
+  caps.name = v10.properties.deviceName;
+  caps.driver = fmt::format("{} {}", v12.driverName, v12.driverInfo);
+  caps.api_version = v10.properties.apiVersion;
+  caps.cpu = v10.properties.deviceType == VK_PHYSICAL_DEVICE_TYPE_CPU;
+  for (const FeatureMember& row : kFeatureMembers)
+    if (row.member(features)) caps.features.add(row.feature);
+  caps.max_workgroup_invocations = limits.maxComputeWorkGroupInvocations;
+  std::copy_n(limits.maxComputeWorkGroupSize, 3, caps.max_workgroup_size);
+  std::copy_n(limits.maxComputeWorkGroupCount, 3, caps.max_workgroup_count);
+  caps.max_shared_bytes = limits.maxComputeSharedMemorySize;
+  caps.max_storage_range_bytes = limits.maxStorageBufferRange;
+  caps.max_texel_elements = limits.maxTexelBufferElements;
+  caps.max_storage_buffers = limits.maxPerStageDescriptorStorageBuffers;
+  caps.max_texel_buffers = limits.maxPerStageDescriptorSampledImages;
+  caps.max_storage_images = limits.maxPerStageDescriptorStorageImages;
+  caps.subgroup_size = v11.subgroupSize;
+  return caps;
+}
+
+std::optional<uint32_t> choose_queue_family(std::span<const VkQueueFamilyProperties> families) {
+  std::optional<uint32_t> chosen;
+  for (uint32_t i = 0; i < families.size(); ++i) {
+    if (!(families[i].queueFlags & VK_QUEUE_COMPUTE_BIT)) continue;
+    if (!(families[i].queueFlags & VK_QUEUE_GRAPHICS_BIT)) return i;
+    if (!chosen) chosen = i;
+  }
+  return chosen;
+}
+
+Result<Context> wrap_device(VkPhysicalDevice physical_device, VkDevice device,
+                            uint32_t queue_family, VkQueue queue, DeviceCaps caps) {
+  VkPhysicalDeviceProperties properties;
+  vkGetPhysicalDeviceProperties(physical_device, &properties);
+  if (properties.apiVersion < VK_API_VERSION_1_3)
+    return device_error(properties.deviceName, "supports Vulkan {}.{}, expected 1.3",
+                        VK_API_VERSION_MAJOR(properties.apiVersion),
+                        VK_API_VERSION_MINOR(properties.apiVersion));
+  const std::vector<VkQueueFamilyProperties> families = queue_families(physical_device);
+  if (queue_family >= families.size() ||
+      !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT))
+    return device_error(properties.deviceName, "queue family {} cannot compute", queue_family);
+  Context context;
+  context.physical_device = physical_device;
+  context.device = device;
+  context.queue_family = queue_family;
+  context.queue = queue;
+  context.caps = std::move(caps);
+  context.limits = properties.limits;
+  vkGetPhysicalDeviceMemoryProperties(physical_device, &context.memory);
+  context.timestamp_bits = families[queue_family].timestampValidBits;
+  return context;
+}
+
+Result<Device> Device::create(VkPhysicalDevice physical_device) {
+  DeviceCaps caps = snapshot_caps(physical_device);
+  const std::optional<uint32_t> family = choose_queue_family(queue_families(physical_device));
+  if (!family) return device_error(caps.name, "has no queue that computes");
+
+  Features supported;
+  vkGetPhysicalDeviceFeatures2(physical_device, &supported.v10);
+  Features enabled;
+  for (const FeatureMember& row : kFeatureMembers)
+    if (caps.features.has(row.feature)) row.member(enabled) = VK_TRUE;
+  enabled.v10.features.shaderStorageImageExtendedFormats =
+      supported.v10.features.shaderStorageImageExtendedFormats;
+
+  const float priority = 1.0f;
+  auto queue_info = init<VkDeviceQueueCreateInfo>(VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO);
+  queue_info.queueFamilyIndex = *family;
+  queue_info.queueCount = 1;
+  queue_info.pQueuePriorities = &priority;
+  auto info = init<VkDeviceCreateInfo>(VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO);
+  info.pNext = &enabled.v10;
+  info.queueCreateInfoCount = 1;
+  info.pQueueCreateInfos = &queue_info;
+  VkDevice device = VK_NULL_HANDLE;
+  SHALE_TRY_VOID(check(vkCreateDevice(physical_device, &info, nullptr, &device),
+                       "vkCreateDevice"));
+  Device result;
+  result.context_.device = device;  // destroyed with `result` from here on
+  VkQueue queue = VK_NULL_HANDLE;
+  vkGetDeviceQueue(device, *family, 0, &queue);
+  SHALE_TRY(result.context_,
+            wrap_device(physical_device, device, *family, queue, std::move(caps)));
+  return result;
+}
+
+Device::Device(Device&& other) noexcept : context_(other.context_) {
+  other.context_.device = VK_NULL_HANDLE;
+}
+
+Device& Device::operator=(Device&& other) noexcept {
+  std::swap(context_, other.context_);
+  return *this;
+}
+
+Device::~Device() {
+  if (context_.device != VK_NULL_HANDLE) vkDestroyDevice(context_.device, nullptr);
+}
+
+}  // namespace shale::vk

@@ -1,0 +1,507 @@
+#include "ir/package/package.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <random>
+
+#include "ir/schema/package_generated.h"
+
+namespace shale {
+namespace {
+
+constexpr uint64_t kSeed = 7;
+
+Resource tensor(std::string name, Category category, DType dtype, std::vector<int64_t> shape,
+                uint64_t offset) {
+  Resource r;
+  r.name = std::move(name);
+  r.category = category;
+  r.dtype = dtype;
+  r.shape = std::move(shape);
+  r.offset_bytes = offset;
+  r.size_bytes = dtype_info(dtype).host_bytes;
+  for (const int64_t extent : r.shape) r.size_bytes *= static_cast<uint64_t>(extent);
+  return r;
+}
+
+Resource image(std::string name, Category category, ImageFormat format, uint32_t depth) {
+  Resource r;
+  r.name = std::move(name);
+  r.category = category;
+  r.format = format;
+  r.width = 16;
+  r.height = 8;
+  r.history_depth = depth;
+  return r;
+}
+
+/// A pass that feeds a graph of two dispatches; every kind of resource and binding occurs.
+Package sample_package() {
+  enum : uint32_t { kX, kMid, kWeight, kY, kColor, kHistory, kShown, kScratch };
+  Variant v;
+  v.target = "any";
+  v.arena_bytes = 1024;
+  v.resources = {tensor("x", Category::kInput, DType::kInt8, {1, 8, 16, 4}, 0),
+                 tensor("mid", Category::kIntermediate, DType::kInt8, {1, 8, 16, 4}, 512),
+                 tensor("w", Category::kWeights, DType::kInt32, {16}, 256),
+                 tensor("y", Category::kOutput, DType::kInt8, {1, 8, 16, 4}, 0),
+                 image("color", Category::kImageInput, ImageFormat::kRgba16Float, 0),
+                 image("history", Category::kImageHistory, ImageFormat::kRgba8Unorm, 3),
+                 image("shown", Category::kImageOutput, ImageFormat::kRgba8Unorm, 0),
+                 image("scratch", Category::kImageInternal, ImageFormat::kR32Uint, 0)};
+  v.resources[kX].quantization = Quantization{0.5f, -3};
+  const auto storage = BindingType::kStorageBuffer;
+  const auto texel = BindingType::kUniformTexelBuffer;
+  const auto sampled = BindingType::kSampledImage;
+  const auto stored = BindingType::kStorageImage;
+  const auto none = ImageFormat::kNone;
+  const Dispatch pack{"pack", "pre", 0, {1, 2, 3},
+                      {{0, sampled, kColor, none, true, false, 0},
+                       {1, sampled, kHistory, none, true, false, 2},
+                       {2, stored, kScratch, none, false, true, 0},
+                       {9, storage, kX, none, false, true, 0}},
+                      {}};
+  const Dispatch conv1{"conv1", "conv2d_s8_f32exact", 1, {4, 1, 1},
+                       {{0, texel, kX, ImageFormat::kRgba8Sint, true, false, 0},
+                        {1, storage, kWeight, none, true, false, 0},
+                        {2, storage, kMid, none, false, true, 0}},
+                       {1000, 20, 300, 40, 5.5}};
+  const Dispatch conv2{"conv2", "conv2d_s8_f32exact", 1, {4, 1, 1},
+                       {{0, texel, kMid, ImageFormat::kR8Sint, true, false, 0},
+                        {63, storage, kY, none, true, true, 0}},
+                       {}};
+  const Dispatch show{"show", "post", 0, {1, 1, 1},
+                      {{0, storage, kY, none, true, false, 0},
+                       {1, stored, kHistory, none, false, true, 0},
+                       {2, stored, kShown, none, false, true, 0}},
+                      {}};
+  v.segments = {{"pre", SegmentKind::kCompute, {pack}},
+                {"network", SegmentKind::kGraph, {conv1, conv2}},
+                {"post", SegmentKind::kCompute, {show}}};
+  v.modules = {{0x07230203, 0x10000, 0, 9, 0}, {0x07230203, 0x10000, 0, 9, 0, 7}};
+  v.proofs = {{"conv1", {-5, -6}, {5, 6}, {10, 12}}};
+  v.requirements = binding_requirements(v);
+  v.requirements.features.add(Feature::kInt8);
+  Package p;
+  p.provenance = {0x1234567890abcdef, "sample", "shale 0.1.0", "target=any"};
+  p.variants = {v};
+  p.weights.resize(321);
+  for (size_t i = 0; i < p.weights.size(); ++i) p.weights[i] = static_cast<uint8_t>(i * 7);
+  return p;
+}
+
+std::string refusal(std::span<const uint8_t> bytes) {
+  const Result<Package> result = read_package(bytes);
+  return result ? "accepted" : result.error().text();
+}
+
+TEST(Package, ComesBackAsItWasWritten) {
+  const Package package = sample_package();
+  const std::vector<uint8_t> bytes = write_package(package);
+  EXPECT_TRUE(is_package(bytes));
+  const Result<Package> read = read_package(bytes);
+  ASSERT_TRUE(read) << read.error().text();
+  EXPECT_EQ(*read, package);
+}
+
+TEST(Package, HasTheSameBytesEveryTime) {
+  EXPECT_EQ(write_package(sample_package()), write_package(sample_package()));
+  const std::vector<uint8_t> bytes = write_package(sample_package());
+  EXPECT_EQ(write_package(read_package(bytes).value()), bytes);
+}
+
+TEST(Package, IsReadFromAnyAddress) {
+  const std::vector<uint8_t> bytes = write_package(sample_package());
+  std::vector<uint8_t> shifted(bytes.size() + 1);
+  std::copy(bytes.begin(), bytes.end(), shifted.begin() + 1);
+  EXPECT_EQ(refusal(std::span(shifted).subspan(1)), "accepted");
+}
+
+TEST(Package, IsRefusedWhenCutAnywhere) {
+  const std::vector<uint8_t> bytes = write_package(sample_package());
+  for (size_t size = 0; size < bytes.size(); ++size) {
+    const std::vector<uint8_t> cut(bytes.begin(), bytes.begin() + static_cast<ptrdiff_t>(size));
+    ASSERT_FALSE(read_package(cut)) << "cut to " << size << " bytes";
+  }
+  Package empty_weights = sample_package();
+  empty_weights.weights.clear();
+  empty_weights.variants[0].resources[2] =
+      tensor("w", Category::kIntermediate, DType::kInt8, {1}, 0);
+  const std::vector<uint8_t> small = write_package(empty_weights);
+  ASSERT_TRUE(read_package(small));
+  for (size_t size = 0; size < small.size(); ++size)
+    ASSERT_FALSE(read_package(std::span(small).first(size))) << "cut to " << size << " bytes";
+}
+
+TEST(Package, StaysConsistentUnderFlippedBytes) {
+  const std::vector<uint8_t> bytes = write_package(sample_package());
+  for (size_t i = 0; i < bytes.size(); ++i) {
+    for (const int flip : {0x01, 0x80, 0xff}) {
+      std::vector<uint8_t> damaged = bytes;
+      damaged[i] = static_cast<uint8_t>(damaged[i] ^ flip);
+      const Result<Package> read = read_package(damaged);
+      if (read) {
+        EXPECT_TRUE(check_package(*read));
+        EXPECT_FALSE(dump_package(*read).empty());
+      } else {
+        EXPECT_FALSE(read.error().message.empty());
+      }
+    }
+  }
+}
+
+TEST(Package, StaysConsistentUnderManyFlippedBytes) {
+  const std::vector<uint8_t> bytes = write_package(sample_package());
+  std::mt19937_64 random(kSeed);
+  for (int round = 0; round < 5000; ++round) {
+    std::vector<uint8_t> damaged = bytes;
+    for (int k = 0; k < 6; ++k) damaged[random() % damaged.size()] = static_cast<uint8_t>(random());
+    const Result<Package> read = read_package(damaged);
+    ASSERT_TRUE(!read || check_package(*read)) << "seed " << kSeed << " round " << round;
+  }
+}
+
+TEST(Package, RefusesForeignFiles) {
+  EXPECT_FALSE(is_package({}));
+  const std::vector<uint8_t> text(100, 'a');
+  EXPECT_FALSE(is_package(text));
+  EXPECT_EQ(refusal(text), "is no .shale package: the identifier is missing");
+}
+
+TEST(Package, RefusesOtherMajorVersions) {
+  std::vector<uint8_t> bytes = write_package(sample_package());
+  auto* root = flatbuffers::GetMutableRoot<flatbuffers::Table>(bytes.data());
+  ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, kPackageMajor + 1, 0));
+  const Result<Package> newer = read_package(bytes);
+  ASSERT_FALSE(newer);
+  EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
+  EXPECT_EQ(newer.error().message, "package version 2.0 is newer than 1.0, which this build reads");
+  ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
+  EXPECT_EQ(refusal(bytes), "package version 0.0 does not exist");
+}
+
+TEST(Package, AcceptsNewerMinorVersions) {
+  // The version is accepted: what is missed is the content.
+  flatbuffers::FlatBufferBuilder builder;
+  builder.Align(8);
+  const auto empty = builder.CreateString("");
+  const auto provenance = fbs::CreateProvenance(builder, 0, empty, empty, empty);
+  const auto variants = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Variant>>());
+  const auto weights = builder.CreateVector(std::vector<uint8_t>());
+  fbs::FinishPackageBuffer(builder,
+                           fbs::CreatePackage(builder, 1, 77, provenance, variants, weights));
+  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
+            "the package has no variant");
+}
+
+TEST(Package, RefusesPartsThatOverlap) {
+  // Every module leads to the same words: verified, but copying would multiply the file.
+  flatbuffers::FlatBufferBuilder builder;
+  builder.Align(8);
+  const auto text = builder.CreateString("x");
+  Spirv words(1000, 0);
+  words[0] = 0x07230203;
+  const auto module = fbs::CreateModule(builder, builder.CreateVector(words));
+  const auto modules = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Module>>(
+      1000, module));
+  const auto resources = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Resource>>());
+  const auto segments = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Segment>>());
+  const auto proofs = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::RangeProof>>());
+  const auto variant =
+      fbs::CreateVariant(builder, text, fbs::CreateRequirements(builder), 0, resources, segments,
+                         modules, proofs);
+  const auto variants =
+      builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Variant>>(100, variant));
+  const auto weights = builder.CreateVector(std::vector<uint8_t>());
+  fbs::FinishPackageBuffer(
+      builder, fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
+                                  fbs::CreateProvenance(builder, 0, text, text, text), variants,
+                                  weights));
+  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
+            "the package is damaged: parts of it overlap");
+}
+
+struct BadPackage {
+  const char* name;
+  std::function<void(Package&)> damage;
+  const char* message;
+};
+
+void PrintTo(const BadPackage& c, std::ostream* out) { *out << c.name; }
+
+class EveryBadPackage : public testing::TestWithParam<BadPackage> {};
+
+TEST_P(EveryBadPackage, IsRefusedWithTheReason) {
+  Package package = sample_package();
+  GetParam().damage(package);
+  EXPECT_EQ(refusal(write_package(package)), GetParam().message);
+}
+
+Variant& variant(Package& p) { return p.variants[0]; }
+Resource& resource(Package& p, size_t i) { return p.variants[0].resources[i]; }
+Dispatch& dispatch(Package& p, size_t segment, size_t i) {
+  return p.variants[0].segments[segment].dispatches[i];
+}
+template <typename T>
+T number(uint32_t n) {
+  return static_cast<T>(n);
+}
+
+const BadPackage kBadPackages[] = {
+    {"NoVariant", [](Package& p) { p.variants.clear(); }, "the package has no variant"},
+    {"ControlCharacterInProvenance", [](Package& p) { p.provenance.options = "a\x1b[0m"; },
+     "provenance: has control characters"},
+    {"EmptyTarget", [](Package& p) { variant(p).target.clear(); },
+     "variant 0: the target name is empty"},
+    {"HugeArena", [](Package& p) { variant(p).arena_bytes = uint64_t{1} << 40; },
+     "variant 0: an arena of 1099511627776 bytes is not below 1099511627776"},
+    {"SecondVariantIsChecked",
+     [](Package& p) {
+       p.variants.push_back(p.variants[0]);
+       p.variants[1].modules[0][0] = 1;
+     },
+     "variant 1, module 0: holds no SPIR-V"},
+    {"EmptyResourceName", [](Package& p) { resource(p, 1).name.clear(); },
+     "variant 0, resource 1: the resource name is empty"},
+    {"NulInResourceName", [](Package& p) { resource(p, 1).name = std::string("a\0b", 3); },
+     "variant 0, resource 1: the resource name has control characters"},
+    {"ResourceNameTwice", [](Package& p) { resource(p, 1).name = "x"; },
+     "variant 0, resource 1: the resource name \"x\" is taken already"},
+    {"Category", [](Package& p) { resource(p, 1).category = number<Category>(8); },
+     "variant 0, resource \"mid\": category 8 does not exist"},
+    {"ElementType", [](Package& p) { resource(p, 1).dtype = number<DType>(13); },
+     "variant 0, resource \"mid\": element type 13 does not exist"},
+    {"TensorWithoutType", [](Package& p) { resource(p, 1).dtype = DType::kUnknown; },
+     "variant 0, resource \"mid\": a tensor cannot have the element type UNKNOWN"},
+    {"ShapeTensor", [](Package& p) { resource(p, 1).dtype = DType::kShape; },
+     "variant 0, resource \"mid\": a tensor cannot have the element type SHAPE"},
+    {"Rank", [](Package& p) { resource(p, 1).shape = {1, 1, 1, 1, 1, 1, 512}; },
+     "variant 0, resource \"mid\": rank 7 is above 6"},
+    {"ZeroExtent", [](Package& p) { resource(p, 1).shape[2] = 0; },
+     "variant 0, resource \"mid\": extent 0 is below 1"},
+    {"NegativeExtent", [](Package& p) { resource(p, 1).shape = {-8, -64}; },
+     "variant 0, resource \"mid\": extent -8 is below 1"},
+    {"OverflowingShape",
+     [](Package& p) {
+       resource(p, 1).shape = {int64_t{1} << 32, int64_t{1} << 32};
+       resource(p, 1).size_bytes = 0;
+     },
+     "variant 0, resource \"mid\": the tensor is larger than 1099511627776 bytes"},
+    {"SizeAgainstShape", [](Package& p) { resource(p, 1).size_bytes = 511; },
+     "variant 0, resource \"mid\": size is 511 bytes, the shape makes 512"},
+    {"ZeroScale", [](Package& p) { resource(p, 0).quantization->scale = 0; },
+     "variant 0, resource \"x\": scale 0 is not a positive number"},
+    {"ScaleNoNumber", [](Package& p) { resource(p, 0).quantization->scale = NAN; },
+     "variant 0, resource \"x\": scale nan is not a positive number"},
+    {"TensorWithExtent", [](Package& p) { resource(p, 0).width = 1; },
+     "variant 0, resource \"x\": a tensor has image fields"},
+    {"ArenaOffsetUnaligned", [](Package& p) { resource(p, 1).offset_bytes = 128; },
+     "variant 0, resource \"mid\": offset 128 is no multiple of 256"},
+    {"ArenaRange", [](Package& p) { resource(p, 1).offset_bytes = 768; },
+     "variant 0, resource \"mid\": bytes 768 to 768 + 512 leave the arena of 1024 bytes"},
+    {"ArenaRangeWrapsAround", [](Package& p) { resource(p, 1).offset_bytes = ~uint64_t{255}; },
+     "variant 0, resource \"mid\": bytes 18446744073709551360 to 18446744073709551360 + 512 leave "
+     "the arena of 1024 bytes"},
+    {"WeightRange", [](Package& p) { p.weights.resize(300); },
+     "variant 0, resource \"w\": bytes 256 to 256 + 64 leave the weights of 300 bytes"},
+    {"InputOffset", [](Package& p) { resource(p, 0).offset_bytes = 256; },
+     "variant 0, resource \"x\": a tensor bound by the caller has offset 256"},
+    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(11); },
+     "variant 0, resource \"color\": image format 11 does not exist"},
+    {"ImageFormatOfTexels", [](Package& p) { resource(p, 4).format = ImageFormat::kR8Sint; },
+     "variant 0, resource \"color\": an image cannot have the format r8_sint"},
+    {"ImageWithoutExtent", [](Package& p) { resource(p, 4).height = 0; },
+     "variant 0, resource \"color\": extent 16x0 is outside 1..16384"},
+    {"ImageTooWide", [](Package& p) { resource(p, 4).width = 16385; },
+     "variant 0, resource \"color\": extent 16385x8 is outside 1..16384"},
+    {"ImageWithShape", [](Package& p) { resource(p, 4).shape = {1}; },
+     "variant 0, resource \"color\": an image has tensor fields"},
+    {"HistoryOfOne", [](Package& p) { resource(p, 5).history_depth = 1; },
+     "variant 0, resource \"history\": history depth 1 is outside 2..16"},
+    {"EndlessHistory", [](Package& p) { resource(p, 5).history_depth = 17; },
+     "variant 0, resource \"history\": history depth 17 is outside 2..16"},
+    {"HistoryDepthElsewhere", [](Package& p) { resource(p, 4).history_depth = 2; },
+     "variant 0, resource \"color\": history depth 2 of an image that is no history"},
+    {"ShortModule", [](Package& p) { variant(p).modules[1].resize(4); },
+     "variant 0, module 1: holds no SPIR-V"},
+    {"SegmentNameTwice", [](Package& p) { variant(p).segments[2].name = "pre"; },
+     "variant 0, segment 2: the segment name \"pre\" is taken already"},
+    {"SegmentKindNumber",
+     [](Package& p) { variant(p).segments[2].kind = number<SegmentKind>(2); },
+     "variant 0, segment 2: segment kind 2 does not exist"},
+    {"NoGraph", [](Package& p) { variant(p).segments[1].kind = SegmentKind::kCompute; },
+     "variant 0: has 0 graph segments, expected exactly one"},
+    {"TwoGraphs",
+     [](Package& p) {
+       variant(p).segments[0].kind = SegmentKind::kGraph;
+       variant(p).segments[0].dispatches.clear();
+     },
+     "variant 0: has 2 graph segments, expected exactly one"},
+    {"DispatchNameTwice", [](Package& p) { dispatch(p, 1, 1).name = "conv1"; },
+     "variant 0, segment 1, dispatch 1: the dispatch name \"conv1\" is taken already"},
+    {"NoKernelName", [](Package& p) { dispatch(p, 1, 1).kernel.clear(); },
+     "variant 0, dispatch \"conv2\": the kernel name is empty"},
+    {"ModuleIndex", [](Package& p) { dispatch(p, 1, 1).module = 2; },
+     "variant 0, dispatch \"conv2\": module 2 does not exist, there are 2"},
+    {"EmptyGrid", [](Package& p) { dispatch(p, 1, 1).workgroups[2] = 0; },
+     "variant 0, dispatch \"conv2\": a grid of 0 workgroups is outside 1..65535"},
+    {"HugeGrid", [](Package& p) { dispatch(p, 1, 1).workgroups[0] = 65536; },
+     "variant 0, dispatch \"conv2\": a grid of 65536 workgroups is outside 1..65535"},
+    {"PredictedTime", [](Package& p) { dispatch(p, 1, 1).cost.time_us = -1; },
+     "variant 0, dispatch \"conv2\": predicted time -1 is not a duration"},
+    {"BindingNumber", [](Package& p) { dispatch(p, 1, 0).bindings[0].binding = 64; },
+     "variant 0, dispatch \"conv1\", binding 64: the binding number is not below 64"},
+    {"BindingTwice", [](Package& p) { dispatch(p, 1, 0).bindings[1].binding = 0; },
+     "variant 0, dispatch \"conv1\", binding 0: the binding number is taken already"},
+    {"BindingTypeNumber",
+     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = number<BindingType>(4); },
+     "variant 0, dispatch \"conv1\", binding 1: binding type 4 does not exist"},
+    {"ViewFormatNumber",
+     [](Package& p) { dispatch(p, 1, 0).bindings[0].view_format = number<ImageFormat>(99); },
+     "variant 0, dispatch \"conv1\", binding 0: view format 99 does not exist"},
+    {"ResourceIndex", [](Package& p) { dispatch(p, 1, 0).bindings[1].resource = 8; },
+     "variant 0, dispatch \"conv1\", binding 1: resource 8 does not exist, there are 8"},
+    {"UnusedBinding", [](Package& p) { dispatch(p, 1, 0).bindings[1].reads = false; },
+     "variant 0, dispatch \"conv1\", binding 1: neither reads nor writes"},
+    {"ImageDescriptorOfTensor",
+     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = BindingType::kStorageImage; },
+     "variant 0, dispatch \"conv1\", binding 1: an image descriptor leads to the tensor \"w\""},
+    {"WrittenWeights", [](Package& p) { dispatch(p, 1, 0).bindings[1].writes = true; },
+     "variant 0, dispatch \"conv1\", binding 1: weights \"w\" are written"},
+    {"WrittenInput",
+     [](Package& p) {
+       dispatch(p, 1, 0).bindings[2].resource = 0;
+     },
+     "variant 0, dispatch \"conv1\", binding 2: the graph segment writes its input \"x\""},
+    {"TensorOfThePast", [](Package& p) { dispatch(p, 1, 0).bindings[1].frames_back = 1; },
+     "variant 0, dispatch \"conv1\", binding 1: frames_back is 1 on a tensor"},
+    {"StorageBufferWithFormat",
+     [](Package& p) { dispatch(p, 1, 0).bindings[1].view_format = ImageFormat::kR8Sint; },
+     "variant 0, dispatch \"conv1\", binding 1: a storage buffer has a view format"},
+    {"WrittenTexelBuffer", [](Package& p) { dispatch(p, 1, 1).bindings[0].writes = true; },
+     "variant 0, dispatch \"conv2\", binding 0: a uniform texel buffer is written"},
+    {"TexelBufferFormat",
+     [](Package& p) { dispatch(p, 1, 0).bindings[0].view_format = ImageFormat::kRgba8Unorm; },
+     "variant 0, dispatch \"conv1\", binding 0: a texel buffer cannot have the view format "
+     "rgba8_unorm"},
+    {"TexelBufferOfInt32",
+     [](Package& p) {
+       dispatch(p, 1, 0).bindings[0].resource = 2;
+     },
+     "variant 0, dispatch \"conv1\", binding 0: a texel buffer views a tensor of type INT32, "
+     "expected INT8 or BOOL"},
+    {"BrokenTexels",
+     [](Package& p) {
+       resource(p, 0).shape = {511};
+       resource(p, 0).size_bytes = 511;
+     },
+     "variant 0, dispatch \"conv1\", binding 0: 511 bytes of \"x\" are no whole number of 4 byte "
+     "texels"},
+    {"BufferDescriptorOfImage",
+     [](Package& p) { dispatch(p, 0, 0).bindings[0].type = BindingType::kStorageBuffer; },
+     "variant 0, dispatch \"pack\", binding 0: a buffer descriptor leads to the image \"color\""},
+    {"ImageInGraph",
+     [](Package& p) {
+       dispatch(p, 1, 0).bindings[1] = dispatch(p, 0, 0).bindings[1];
+     },
+     "variant 0, dispatch \"conv1\", binding 1: the graph segment uses the image \"history\""},
+    {"ImageWithViewFormat",
+     [](Package& p) { dispatch(p, 0, 0).bindings[0].view_format = ImageFormat::kR8Unorm; },
+     "variant 0, dispatch \"pack\", binding 0: an image descriptor has a view format"},
+    {"WrittenSampledImage", [](Package& p) { dispatch(p, 0, 0).bindings[1].writes = true; },
+     "variant 0, dispatch \"pack\", binding 1: a sampled image is written"},
+    {"WrittenInputImage",
+     [](Package& p) { dispatch(p, 0, 0).bindings[2].resource = 4; },
+     "variant 0, dispatch \"pack\", binding 2: the input image \"color\" is written"},
+    {"TooFarBack", [](Package& p) { dispatch(p, 0, 0).bindings[1].frames_back = 3; },
+     "variant 0, dispatch \"pack\", binding 1: frames_back is 3, \"history\" holds 3 frame(s)"},
+    {"BackWithoutHistory", [](Package& p) { dispatch(p, 0, 0).bindings[0].frames_back = 1; },
+     "variant 0, dispatch \"pack\", binding 0: frames_back is 1, \"color\" holds 1 frame(s)"},
+    {"RewrittenPast",
+     [](Package& p) { dispatch(p, 2, 0).bindings[1].frames_back = 1; },
+     "variant 0, dispatch \"show\", binding 1: an earlier frame's \"history\" is written"},
+    {"ProofLengths", [](Package& p) { variant(p).proofs[0].max.pop_back(); },
+     "variant 0, proof 0: 2 minima, 1 maxima and 2 magnitudes, expected as many of each"},
+    {"ProofOrder", [](Package& p) { variant(p).proofs[0].max[1] = -7; },
+     "variant 0, proof 0: channel 1 has the range -6..-7 and the magnitude 12"},
+    {"UnknownFeature", [](Package& p) { variant(p).requirements.features.bits |= 0x300; },
+     "variant 0: feature bits 0x300 do not exist"},
+    {"UnderstatedRange", [](Package& p) { variant(p).requirements.storage_range_bytes = 100; },
+     "variant 0: storage_range_bytes is 100, the bindings need 512"},
+    {"UnderstatedTexels", [](Package& p) { variant(p).requirements.texel_elements = 511; },
+     "variant 0: texel_elements is 511, the bindings need 512"},
+    {"UnderstatedImages", [](Package& p) { variant(p).requirements.storage_images = 1; },
+     "variant 0: storage_images is 1, the bindings need 2"},
+};
+
+INSTANTIATE_TEST_SUITE_P(Package, EveryBadPackage, testing::ValuesIn(kBadPackages),
+                         [](const auto& tested) { return std::string(tested.param.name); });
+
+TEST(Package, RequirementsFollowFromBindings) {
+  const Requirements needs = binding_requirements(sample_package().variants[0]);
+  EXPECT_EQ(needs, (Requirements{.features = {},
+                                 .storage_range_bytes = 512,
+                                 .texel_elements = 512,
+                                 .storage_buffers = 2,
+                                 .texel_buffers = 2,
+                                 .storage_images = 2}));
+}
+
+TEST(Package, BuffersAreBoundInWholeWords) {
+  EXPECT_EQ(bound_bytes(tensor("a", Category::kInput, DType::kInt8, {1}, 0)), 4u);
+  EXPECT_EQ(bound_bytes(tensor("a", Category::kInput, DType::kInt8, {8}, 0)), 8u);
+}
+
+TEST(Package, DumpShowsEveryPart) {
+  const std::string text = dump_package(sample_package());
+  for (const char* part : {
+           "shale package 1.0\nmodel \"sample\", hash 1234567890abcdef\n",
+           "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
+           "variant 0: target \"any\", arena 1024 bytes\n  needs: shaderInt8\n",
+           "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",
+           "      1 intermediate   i8[1,8,16,4] 512 bytes at 512 \"mid\"\n",
+           "      5 image history  rgba8_unorm 16x8 depth 3 \"history\"\n",
+           "  segment \"network\" (graph): 2 dispatches\n",
+           "    \"conv1\": conv2d_s8_f32exact module 1 grid 4x1x1\n",
+           "      predicted 5.5 us: 1000 macs, 20 other ops, 300 bytes read, 40 written\n",
+           "       0 texel buffer rgba8_sint reads \"x\"\n",
+           "       1 sampled image reads \"history\" 2 frame(s) back\n",
+           "      63 storage buffer reads and writes \"y\"\n",
+           "      1 6 words, hash ",
+           "        1 -6..6, any partial sum within 12\n",
+       })
+    EXPECT_NE(text.find(part), std::string::npos) << part << "\nis not in\n" << text;
+}
+
+TEST(ImageFormats, NamesLeadBack) {
+  for (uint32_t i = 1; i < kImageFormatCount; ++i) {
+    const ImageFormatInfo& info = image_format_info(static_cast<ImageFormat>(i));
+    EXPECT_EQ(static_cast<uint32_t>(info.format), i);
+    EXPECT_EQ(image_format_from_name(info.name), info.format);
+    EXPECT_GT(info.texel_bytes, 0u);
+  }
+  EXPECT_EQ(image_format_from_name("none"), std::nullopt);
+  EXPECT_EQ(image_format_from_name("bgra8"), std::nullopt);
+}
+
+TEST(Caps, MissingNamesEachShortfall) {
+  DeviceCaps caps;
+  caps.features.add(Feature::kInt8);
+  caps.max_workgroup_invocations = 128;
+  Requirements needs;
+  needs.workgroup_invocations = 128;
+  needs.features.add(Feature::kInt8);
+  EXPECT_TRUE(meets(caps, needs));
+  needs.features.add(Feature::kDotProduct8);
+  needs.workgroup_invocations = 256;
+  needs.storage_images = 1;
+  EXPECT_EQ(missing(caps, needs),
+            (std::vector<std::string>{"shaderIntegerDotProduct is not supported",
+                                      "maxComputeWorkGroupInvocations is 128, needs 256",
+                                      "maxPerStageDescriptorStorageImages is 0, needs 1"}));
+}
+
+}  // namespace
+}  // namespace shale

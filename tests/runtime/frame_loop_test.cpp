@@ -1,0 +1,211 @@
+#include "runtime/frame/frame_loop.h"
+
+#include "ir/base/file.h"
+#include "ir/base/hash.h"
+#include "runtime/profile/profile.h"
+#include "tests/support/small_packages.h"
+#include "tests/support/vulkan_fixture.h"
+
+namespace shale {
+namespace {
+
+constexpr VkExtent2D kExtent{kSmallWidth, kSmallHeight};
+constexpr ImageFormat kColorFormat = ImageFormat::kRgba8Unorm;
+
+class FrameLoopTest : public VulkanTest {
+ protected:
+  static ImageView view_of(const vk::Image& image) {
+    return {image.view(), vk::vk_format(kColorFormat), image.extent()};
+  }
+  static vk::Image color(const std::vector<uint8_t>& texels) {
+    return image_of(kColorFormat, kExtent, texels);
+  }
+  static vk::Image empty() { return image_of(kColorFormat, kExtent, {}); }
+};
+
+TEST_F(FrameLoopTest, FollowsTheModelFrameByFrame) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_frame()));
+  SmallFrameModel model;
+  for (uint64_t frame = 0; frame < 8; ++frame) {
+    const std::vector<uint8_t> texels = random_bytes(kSmallBytes, frame);
+    const vk::Image in = color(texels);
+    const vk::Image out = empty();
+    must(loop.bind_image("color", view_of(in)));
+    must(loop.bind_image("shown", view_of(out)));
+    EXPECT_EQ(loop.frame(), frame);
+    run([&](VkCommandBuffer commands) { must(loop.record(commands)); });
+    EXPECT_EQ(texels_of(out, kColorFormat), model.next(texels)) << "frame " << frame;
+  }
+}
+
+TEST_F(FrameLoopTest, ManyFramesInOneSubmissionKeepTheirHistory) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_frame(), {.frames_in_flight = 5}));
+  std::vector<std::vector<uint8_t>> texels;
+  std::vector<vk::Image> ins;
+  std::vector<vk::Image> outs;
+  for (uint64_t frame = 0; frame < 5; ++frame) {
+    texels.push_back(random_bytes(kSmallBytes, 100 + frame));
+    ins.push_back(color(texels.back()));
+    outs.push_back(empty());
+  }
+  run([&](VkCommandBuffer commands) {
+    for (size_t frame = 0; frame < 5; ++frame) {
+      must(loop.bind_image("color", view_of(ins[frame])));
+      must(loop.bind_image("shown", view_of(outs[frame])));
+      must(loop.record(commands));
+    }
+  });
+  SmallFrameModel model;
+  for (size_t frame = 0; frame < 5; ++frame)
+    EXPECT_EQ(texels_of(outs[frame], kColorFormat), model.next(texels[frame])) << frame;
+}
+
+TEST_F(FrameLoopTest, KeepsItsImagesUntilTheyAreBoundAnew) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_frame(), {.frames_in_flight = 1}));
+  const std::vector<uint8_t> texels = random_bytes(kSmallBytes, 200);
+  const vk::Image in = color(texels);
+  const vk::Image out = empty();
+  must(loop.bind_image("color", view_of(in)));
+  must(loop.bind_image("shown", view_of(out)));
+  SmallFrameModel model;
+  for (int frame = 0; frame < 7; ++frame) {
+    run([&](VkCommandBuffer commands) { must(loop.record(commands)); });
+    EXPECT_EQ(texels_of(out, kColorFormat), model.next(texels)) << "frame " << frame;
+  }
+}
+
+TEST_F(FrameLoopTest, ResetHistoryStartsAnew) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_frame()));
+  const std::vector<uint8_t> texels = random_bytes(kSmallBytes, 300);
+  const vk::Image in = color(texels);
+  const vk::Image out = empty();
+  must(loop.bind_image("color", view_of(in)));
+  must(loop.bind_image("shown", view_of(out)));
+  SmallFrameModel model;
+  for (int frame = 0; frame < 6; ++frame) {
+    if (frame == 4) {
+      loop.reset_history();
+      model.reset_history();
+    }
+    run([&](VkCommandBuffer commands) { must(loop.record(commands)); });
+    EXPECT_EQ(texels_of(out, kColorFormat), model.next(texels)) << "frame " << frame;
+  }
+}
+
+TEST_F(FrameLoopTest, LoopsOnOneDeviceAreIndependent) {
+  const Package package = small_frame();
+  FrameLoop first = must(FrameLoop::create(context(), package));
+  FrameLoop second = must(FrameLoop::create(context(), package));
+  const std::vector<uint8_t> texels1 = random_bytes(kSmallBytes, 400);
+  const std::vector<uint8_t> texels2 = random_bytes(kSmallBytes, 401);
+  const vk::Image in1 = color(texels1);
+  const vk::Image in2 = color(texels2);
+  const vk::Image out1 = empty();
+  const vk::Image out2 = empty();
+  must(first.bind_image("color", view_of(in1)));
+  must(first.bind_image("shown", view_of(out1)));
+  must(second.bind_image("color", view_of(in2)));
+  must(second.bind_image("shown", view_of(out2)));
+  run([&](VkCommandBuffer commands) {
+    must(first.record(commands));
+    must(second.record(commands));
+  });
+  EXPECT_EQ(texels_of(out1, kColorFormat), SmallFrameModel().next(texels1));
+  EXPECT_EQ(texels_of(out2, kColorFormat), SmallFrameModel().next(texels2));
+}
+
+TEST_F(FrameLoopTest, RunsANetworkAloneOnItsTensors) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_graph()));
+  const TensorView x = must(loop.tensor("x"));
+  const TensorView y = must(loop.tensor("y"));
+  EXPECT_EQ(x.size_bytes, kSmallBytes);
+  EXPECT_EQ(error_text(loop.tensor("a")), "the network has no input or output \"a\"");
+  const std::vector<int8_t> values = random_int8(kSmallBytes, 500);
+  const vk::Buffer in = buffer_of(values);
+  const vk::Buffer out = buffer_of(std::vector<int8_t>(kSmallBytes));
+  run([&](VkCommandBuffer commands) {
+    const VkBufferCopy to_x{0, x.offset, kSmallBytes};
+    vkCmdCopyBuffer(commands, in.get(), x.buffer, 1, &to_x);
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT,
+                       VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_READ_BIT);
+    must(loop.record(commands));
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
+                       VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_READ_BIT);
+    const VkBufferCopy from_y{y.offset, 0, kSmallBytes};
+    vkCmdCopyBuffer(commands, y.buffer, out.get(), 1, &from_y);
+  });
+  EXPECT_EQ(int8_values(out, kSmallBytes), small_graph_result(values));
+}
+
+TEST_F(FrameLoopTest, MeasuresAllSegments) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_frame()));
+  const vk::Image in = color(random_bytes(kSmallBytes, 600));
+  const vk::Image out = empty();
+  must(loop.bind_image("color", view_of(in)));
+  must(loop.bind_image("shown", view_of(out)));
+  const std::vector<Segment>& segments = loop.variant().segments;
+  auto timestamps = must(vk::Timestamps::create(context(), interval_count(segments)));
+  for (int frame = 0; frame < 2; ++frame) {
+    run([&](VkCommandBuffer commands) { must(loop.record(commands, &timestamps)); });
+    const std::vector<DispatchTime> times = must(measured_times(timestamps, segments));
+    ASSERT_EQ(times.size(), 3u);
+    EXPECT_EQ(times[0].segment, "pre");
+    EXPECT_EQ(times[1].name, "scale");
+    EXPECT_EQ(times[2].kernel, "post");
+  }
+  EXPECT_EQ(error_text(measured_times(timestamps, std::span(segments).first(2))),
+            "3 intervals were measured, expected 2 dispatches");
+}
+
+TEST_F(FrameLoopTest, RefusesImagesThatDoNotFit) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_frame()));
+  const vk::Image image = empty();
+  ImageView view = view_of(image);
+  EXPECT_EQ(error_text(loop.bind_image("blend", view)),
+            "the package has no input or output image \"blend\"");
+  view.extent.height = 9;
+  EXPECT_EQ(error_text(loop.bind_image("color", view)),
+            "image \"color\": is 16x9, expected 16x8");
+  view = view_of(image);
+  view.format = VK_FORMAT_B8G8R8A8_UNORM;
+  EXPECT_EQ(error_text(loop.bind_image("color", view)),
+            "image \"color\": has VkFormat 44, expected 37 (rgba8_unorm)");
+  view.view = VK_NULL_HANDLE;
+  EXPECT_EQ(error_text(loop.bind_image("color", view)), "image \"color\": no view is given");
+  run([&](VkCommandBuffer commands) {
+    EXPECT_EQ(error_text(loop.record(commands)), "image \"color\": is not bound yet");
+    must(loop.bind_image("color", view_of(image)));
+    EXPECT_EQ(error_text(loop.record(commands)), "image \"shown\": is not bound yet");
+  });
+  EXPECT_EQ(loop.frame(), 0u);
+}
+
+TEST_F(FrameLoopTest, RefusesWhatItCannotRun) {
+  EXPECT_EQ(error_text(FrameLoop::create(context(), small_frame(), {.frames_in_flight = 0})),
+            "0 frames in flight are outside 1..8");
+  vk::Context poor = context();
+  poor.caps.features = {};
+  EXPECT_NE(error_text(FrameLoop::create(poor, small_frame())).find("shaderInt8 is not supported"),
+            std::string::npos);
+  Package package = small_frame();
+  Variant& variant = package.variants[0];
+  for (const uint32_t depth : {7u, 11u}) {
+    variant.resources.push_back(variant.resources[5]);
+    variant.resources.back().name = fmt::format("history{}", depth);
+    variant.resources.back().history_depth = depth;
+  }
+  const auto refused = FrameLoop::create(context(), package);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kUnsupported);
+}
+
+TEST_F(FrameLoopTest, HostProgramFindsItsPackage) {
+  // tests/e2e/host_program is run on this file, with the checksum below.
+  must(write_file(SHALE_BINARY_DIR "/small_frame.shale", write_package(small_frame())));
+  std::vector<uint8_t> texels(kSmallBytes);
+  for (size_t i = 0; i < texels.size(); ++i) texels[i] = static_cast<uint8_t>(i * 37 % 251);
+  EXPECT_EQ(stable_hash(SmallFrameModel().next(texels)), 0u);
+}
+
+}  // namespace
+}  // namespace shale

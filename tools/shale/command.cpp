@@ -1,0 +1,157 @@
+#include "tools/shale/command.h"
+
+#include <unistd.h>
+
+#include <atomic>
+#include <charconv>
+#include <csignal>
+#include <filesystem>
+
+#include "compiler/frontend/frontend.h"
+#include "ir/base/file.h"
+#include "ir/text/text.h"
+
+namespace shale {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::atomic<bool> interrupt_seen{false};
+
+void install_interrupt_handler() {
+  static const bool installed = [] {
+    // The second Ctrl-C kills as usual.
+    std::signal(SIGINT, [](int) {
+      interrupt_seen = true;
+      std::signal(SIGINT, SIG_DFL);
+    });
+    return true;
+  }();
+  (void)installed;
+}
+
+}  // namespace
+
+bool interrupted() {
+  install_interrupt_handler();
+  return interrupt_seen;
+}
+
+Progress::Progress(std::string label) : label_(std::move(label)), is_terminal_(isatty(STDERR_FILENO) != 0) {
+  install_interrupt_handler();
+}
+
+Progress::~Progress() {
+  if (shown_) fmt::print(stderr, "\r\x1b[K");
+}
+
+bool Progress::step(size_t done, size_t total) {
+  if (is_terminal_) {
+    shown_ = true;
+    fmt::print(stderr, "\r{} {}/{}", label_, done, total);
+    std::fflush(stderr);
+  }
+  return !interrupted();
+}
+
+Error in_file(const std::string& file, Error error) {
+  error.where = error.where.empty() ? file : file + ": " + error.where;
+  return error;
+}
+
+void print_json(const Json& json) { fmt::print("{}\n", json.dump(2)); }
+
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path) {
+  ModelFiles model;
+  std::error_code ignored;
+  const bool is_folder = fs::is_directory(path, ignored);
+  model.path = is_folder ? (fs::path(path) / "model.tosa").string() : path;
+  const std::string stem = is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
+                                     : fs::path(path).stem().string();
+  model.name = stem.empty() ? "model" : stem;
+  SHALE_TRY(model.bytes, read_file(model.path));
+  std::string frame = frame_path;
+  if (frame.empty() && is_folder && fs::exists(fs::path(path) / "frame.json", ignored))
+    frame = (fs::path(path) / "frame.json").string();
+  if (frame.empty()) return model;
+  SHALE_TRY(const std::string text, read_text(frame));
+  Result<Frame> parsed = parse_frame(text);
+  if (!parsed) return in_file(frame, parsed.error());
+  model.frame = *std::move(parsed);
+  model.frame_folder = fs::path(frame).parent_path().string();
+  return model;
+}
+
+Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text) {
+  const size_t equals = text.rfind('=');
+  const Error error = bad_input("--input-shape", "\"{}\" is not of the form NAME=N,H,W,C", text);
+  if (equals == std::string::npos || equals == 0) return error;
+  Shape shape;
+  const char* at = text.data() + equals + 1;
+  const char* const end = text.data() + text.size();
+  while (at < end) {
+    int64_t dim = 0;
+    const auto [next, status] = std::from_chars(at, end, dim);
+    if (status != std::errc() || dim < 1 || (next < end && *next != ',')) return error;
+    shape.push_back(dim);
+    at = next + (next < end ? 1 : 0);
+  }
+  if (shape.empty() || text.back() == ',') return error;
+  return std::pair{text.substr(0, equals), std::move(shape)};
+}
+
+void CompileArguments::add_to(CLI::App& app) {
+  app.add_option("--input-shape", input_shapes, "shape of a graph input, NAME=N,H,W,C (again for each input)");
+  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")->delimiter(',');
+  app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")->delimiter(',');
+  app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
+  app.add_option("--dump-after", dump_after, "print the graph after these passes")->delimiter(',');
+  app.add_flag("--no-passes", no_passes, "skip every pass that is not needed to compile");
+  app.add_flag("--verify-each", verify_each, "verify the graph after each pass");
+  app.add_flag("--require-proof", require_proof, "refuse convolutions whose accumulators cannot be bounded");
+  app.add_flag("--no-spirv-opt", no_spirv_opt, "leave the shaders as glslang made them");
+}
+
+Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const {
+  CompileOptions options;
+  options.targets = targets;
+  options.kernels = kernels;
+  for (const std::string& kernel : kernels) {
+    const auto known = all_kernels();
+    if (std::none_of(known.begin(), known.end(), [&](const KernelFamily& family) { return family.name == kernel; }))
+      return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
+  }
+  for (const std::string& text : input_shapes) {
+    SHALE_TRY(auto shape, parse_input_shape(text));
+    options.passes.input_shapes.insert(std::move(shape));
+  }
+  options.pass_options.optimize = !no_passes;
+  options.pass_options.verify_each = verify_each;
+  options.require_proof = require_proof;
+  options.optimize_spirv = !no_spirv_opt;
+  options.model_name = model.name;
+  options.frame = model.frame;
+  options.load_shader = [folder = model.frame_folder](const std::string& path) {
+    return read_text((fs::path(folder) / path).string());
+  };
+  for (const std::string& pass : dump_after)
+    if (pass != "all" && !find_pass(pass)) return bad_input("--dump-after", "\"{}\" is no pass", pass);
+  if (!dump_after.empty()) {
+    options.pass_options.after = [names = dump_after](std::string_view pass, const Graph& graph) {
+      for (const std::string& name : names)
+        if (name == "all" || name == pass) fmt::print("# after {}\n{}", pass, print_text(graph));
+    };
+  }
+  return options;
+}
+
+Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& options) {
+  CompileOptions with_progress = options;
+  Progress progress("compiling kernels");
+  with_progress.progress = [&](size_t done, size_t total) { return progress.step(done, total); };
+  Result<Compiled> compiled = compile(model.bytes, with_progress);
+  if (!compiled) return in_file(model.path, compiled.error());
+  return compiled;
+}
+
+}  // namespace shale

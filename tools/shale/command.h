@@ -1,0 +1,95 @@
+// tools/shale/command.h -- what a subcommand is, and what all of them share.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "compiler/driver/compile.h"
+#include "ir/base/result.h"
+
+namespace shale {
+
+/// Exit codes of every subcommand.
+enum ExitCode : int { kDone = 0, kRefused = 1, kUsage = 2, kNoDevice = 3 };
+
+/// Runs after the command line was parsed; returns the exit code.
+using Action = std::function<Result<int>()>;
+
+/// A row of commands.def: adds the subcommand's options to its App.
+struct Command {
+  const char* name;
+  const char* help;
+  Action (*add)(CLI::App& app);
+};
+
+#define SHALE_COMMAND(name, add, help) Action add(CLI::App& app);
+#include "tools/shale/commands.def"
+
+using Json = nlohmann::ordered_json;
+
+/// The line of `shale --version`.
+inline constexpr const char* kVersionText = "shale 0.1.0";
+
+/// True once the user has pressed Ctrl-C; long work asks it and stops.
+bool interrupted();
+
+/// A line that shows done/total on a terminal and nothing elsewhere. Erases itself at the end.
+class Progress {
+ public:
+  explicit Progress(std::string label);
+  ~Progress();
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+  /// Returns false if the user interrupted.
+  bool step(size_t done, size_t total);
+
+ private:
+  std::string label_;
+  bool is_terminal_;
+  bool shown_ = false;
+};
+
+/// A model on disk: the bytes, its name, and its sandwich where there is one.
+struct ModelFiles {
+  std::string path;  ///< of the model file, for messages
+  std::string name;
+  std::vector<uint8_t> bytes;
+  std::optional<Frame> frame;
+  std::string frame_folder;  ///< shader paths are relative to it
+};
+
+/// `path` is a model file, or a folder with model.tosa and (optionally) frame.json. `frame_path` names a
+/// frame.json for a model file; empty is none. Errors: kIo, kBadInput; the file is named.
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path);
+
+/// Options that everything which compiles shares.
+struct CompileArguments {
+  std::vector<std::string> input_shapes;
+  std::vector<std::string> targets{"lavapipe"};
+  std::vector<std::string> kernels;
+  std::string frame;
+  std::vector<std::string> dump_after;
+  bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
+
+  void add_to(CLI::App& app);
+  /// Errors: kBadInput for an option that cannot be understood.
+  Result<CompileOptions> options(const ModelFiles& model) const;
+};
+
+/// NAME=N,H,W,C to a named shape.
+Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text);
+
+/// Compiles with progress on a terminal; errors carry the model's path.
+Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& options);
+
+/// Puts `file` in front of an error's location.
+Error in_file(const std::string& file, Error error);
+
+/// Prints JSON, or writes it to a file with `path`.
+void print_json(const Json& json);
+
+}  // namespace shale

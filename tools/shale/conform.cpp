@@ -1,0 +1,175 @@
+// shale conform: runs TOSA test cases and compares bit for bit.
+#include <algorithm>
+#include <filesystem>
+
+#include "compiler/frontend/frontend.h"
+#include "ir/base/file.h"
+#include "ir/reference/interpreter.h"
+#include "ir/verify/verify.h"
+#include "tools/shale/command.h"
+#include "tools/shale/device_run.h"
+#include "tools/shale/npy.h"
+
+namespace shale {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Arguments {
+  std::vector<std::string> folders;
+  std::string backend = "interpreter";
+  DeviceArguments device;
+  CompileArguments compile;
+  bool json = false;
+};
+
+struct Outcome {
+  std::string name;
+  bool passed = false;
+  std::string detail;  ///< why it failed, or why the file was refused
+};
+
+/// Every folder below `root` that holds a desc.json, sorted.
+Result<std::vector<fs::path>> find_cases(const std::string& root) {
+  std::error_code error;
+  std::vector<fs::path> cases;
+  fs::recursive_directory_iterator it(root, error);
+  if (error) return io_error(root, "cannot list: {}", error.message());
+  if (fs::exists(fs::path(root) / "desc.json", error)) cases.emplace_back(root);
+  for (; it != fs::recursive_directory_iterator(); it.increment(error)) {
+    if (error) return io_error(root, "cannot list: {}", error.message());
+    if (it->is_directory(error) && fs::exists(it->path() / "desc.json", error)) cases.push_back(it->path());
+  }
+  std::sort(cases.begin(), cases.end());
+  return cases;
+}
+
+class Runner {
+ public:
+  Runner(const Arguments& arguments, ToolDevice* device) : arguments_(arguments), device_(device) {}
+
+  Outcome run(const fs::path& folder) const {
+    Outcome outcome{folder.string(), false, {}};
+    const Result<Json> description = read_description(folder);
+    if (!description) return outcome.detail = description.error().text(), outcome;
+    const bool must_accept = description->value("expect", "accept") == "accept";
+    const std::string file = description->value("tosa_file", "graph.tosa");
+    const Result<std::string> difference = check(folder, *description, file, must_accept);
+    if (!difference) {
+      outcome.passed = !must_accept && difference.error().code != ErrorCode::kDevice && difference.error().code != ErrorCode::kIo;
+      outcome.detail = difference.error().text();
+    } else if (!must_accept) {
+      outcome.detail = "accepted, but TOSA calls it invalid: " + description->value("reason", "");
+    } else {
+      outcome.passed = difference->empty();
+      outcome.detail = *difference;
+    }
+    return outcome;
+  }
+
+ private:
+  static Result<Json> read_description(const fs::path& folder) {
+    SHALE_TRY(const std::string text, read_text((folder / "desc.json").string()));
+    Json json = Json::parse(text, nullptr, false);
+    if (json.is_discarded() || !json.is_object()) return bad_input((folder / "desc.json").string(), "is not valid JSON");
+    return json;
+  }
+
+  /// First difference, empty if there is none; an error if the file is refused.
+  Result<std::string> check(const fs::path& folder, const Json& description, const std::string& file, bool must_accept) const {
+    SHALE_TRY(const std::vector<uint8_t> bytes, read_file((folder / file).string()));
+    SHALE_TRY(const Graph graph, import_model(bytes));
+    SHALE_TRY_VOID(verify(graph));
+    std::vector<Tensor> inputs, expected;
+    if (must_accept) {
+      SHALE_TRY(inputs, read_arrays(folder, description, "inputs", graph, graph.inputs));
+      SHALE_TRY(expected, read_arrays(folder, description, "outputs", graph, graph.outputs));
+    }
+    SHALE_TRY(const std::vector<Tensor> outputs, compute(graph, bytes, inputs, must_accept));
+    for (size_t i = 0; i < expected.size(); ++i)
+      if (const auto difference = first_difference(outputs[i], expected[i]))
+        return fmt::format("output \"{}\": {}", graph.value(graph.outputs[i]).name, *difference);
+    return std::string();
+  }
+
+  Result<std::vector<Tensor>> compute(const Graph& graph, const std::vector<uint8_t>& bytes, const std::vector<Tensor>& inputs,
+                                      bool must_accept) const {
+    if (!device_) return must_accept ? interpret(graph, inputs) : std::vector<Tensor>{};
+    SHALE_TRY(const CompileOptions options, arguments_.compile.options({}));
+    SHALE_TRY(const Compiled compiled, compile(bytes, options));
+    // What the runtime gets is what a file holds.
+    SHALE_TRY(const Package package, read_package(write_package(compiled.package)));
+    return must_accept ? run_network(*device_, package, inputs) : std::vector<Tensor>{};
+  }
+
+  static Result<std::vector<Tensor>> read_arrays(const fs::path& folder, const Json& description, const char* key, const Graph& graph,
+                                                 const std::vector<ValueId>& ids) {
+    std::vector<Tensor> tensors;
+    for (const ValueId id : ids) {
+      const Value& value = graph.value(id);
+      std::string file;
+      for (const Json& entry : description.value(key, Json::array()))
+        if (entry.value("name", "") == value.name) file = entry.value("file", "");
+      if (file.empty()) return bad_input((folder / "desc.json").string(), "names no file for \"{}\"", value.name);
+      SHALE_TRY(Tensor tensor, read_npy((folder / file).string(), value.type));
+      tensors.push_back(std::move(tensor));
+    }
+    return tensors;
+  }
+
+  const Arguments& arguments_;
+  ToolDevice* device_;
+};
+
+Result<int> conform(const Arguments& arguments) {
+  std::vector<fs::path> cases;
+  for (const std::string& folder : arguments.folders) {
+    SHALE_TRY(const std::vector<fs::path> found, find_cases(folder));
+    cases.insert(cases.end(), found.begin(), found.end());
+  }
+  if (cases.empty()) return bad_input("", "no folder with a desc.json below the given folders");
+  std::optional<ToolDevice> device;
+  if (arguments.backend == "device") {
+    SHALE_TRY(device, ToolDevice::open(arguments.device));
+  }
+  const Runner runner(arguments, device ? &*device : nullptr);
+  size_t passed = 0;
+  Json failures = Json::array();
+  {
+    Progress progress("conform");
+    for (size_t i = 0; i < cases.size(); ++i) {
+      if (!progress.step(i, cases.size())) return bad_input("", "interrupted");
+      Outcome outcome = runner.run(cases[i]);
+      if (device && outcome.passed) {
+        const std::vector<std::string> messages = device->take_validation_messages();
+        if (!messages.empty()) outcome.passed = false, outcome.detail = "validation: " + messages.front();
+      }
+      passed += outcome.passed ? 1 : 0;
+      if (!outcome.passed) failures.push_back({{"case", outcome.name}, {"detail", outcome.detail}});
+    }
+  }
+  if (device) SHALE_TRY_VOID(device->close());
+  if (arguments.json) {
+    print_json({{"backend", arguments.backend}, {"passed", passed}, {"failed", failures.size()}, {"failures", failures}});
+  } else {
+    for (const Json& failure : failures)
+      fmt::print("FAILED {}: {}\n", failure["case"].get<std::string>(), failure["detail"].get<std::string>());
+    fmt::print("{} passed, {} failed\n", passed, failures.size());
+  }
+  return failures.empty() ? kDone : kRefused;
+}
+
+}  // namespace
+
+Action add_conform(CLI::App& app) {
+  auto arguments = std::make_shared<Arguments>();
+  app.add_option("folders", arguments->folders, "case folders, or folders of such")->required();
+  app.add_option("--backend", arguments->backend, "interpreter or device")->check(CLI::IsMember({"interpreter", "device"}));
+  add_device_options(app, arguments->device);
+  arguments->compile.add_to(app);
+  app.add_flag("--json", arguments->json, "print the result as JSON");
+  app.footer("Example: shale conform ../shared/golden/tosa --backend device --no-passes");
+  return [arguments] { return conform(*arguments); };
+}
+
+}  // namespace shale

@@ -1,0 +1,137 @@
+#include "tools/shale/device_run.h"
+
+#include <algorithm>
+
+#include "runtime/datagraph/pipeline.h"
+#include "runtime/datagraph/session.h"
+#include "runtime/vk/commands.h"
+#include "runtime/vk/memory.h"
+#include "runtime/vk/timestamps.h"
+
+namespace shale {
+
+void add_device_options(CLI::App& app, DeviceArguments& device) {
+  app.add_option("--device", device.name, "part of the device's name (default: the first device)");
+  app.add_option("--cache", device.cache, "file of the pipeline cache");
+  app.add_flag("--validation", device.validation, "run under the Vulkan validation layer; its messages are failures");
+}
+
+Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
+  ToolDevice tool;
+  SHALE_TRY(vk::Instance instance, vk::Instance::create({.validation = arguments.validation}));
+  tool.instance_ = std::make_unique<vk::Instance>(std::move(instance));
+  SHALE_TRY(const VkPhysicalDevice physical, tool.instance_->find_device(arguments.name));
+  SHALE_TRY(vk::Device device, vk::Device::create(physical));
+  tool.device_ = std::make_unique<vk::Device>(std::move(device));
+  if (!arguments.cache.empty()) {
+    SHALE_TRY(vk::PipelineCache cache, vk::PipelineCache::load(tool.context(), arguments.cache));
+    tool.cache_ = std::make_unique<vk::PipelineCache>(std::move(cache));
+  }
+  return tool;
+}
+
+VkPipelineCache ToolDevice::cache() const { return cache_ ? cache_->get() : VK_NULL_HANDLE; }
+
+Result<void> ToolDevice::close() {
+  if (cache_) SHALE_TRY_VOID(cache_->save());
+  const std::vector<std::string> messages = instance_->take_validation_messages();
+  if (!messages.empty()) return device_error("validation", "{}", messages.front());
+  return {};
+}
+
+std::vector<const Resource*> tensors_of(const Variant& variant, Category category) {
+  std::vector<const Resource*> result;
+  for (const Resource& resource : variant.resources)
+    if (resource.category == category) result.push_back(&resource);
+  return result;
+}
+
+std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames) {
+  if (frames.empty()) return {};
+  std::vector<DispatchTime> median = frames[0];
+  for (size_t i = 0; i < median.size(); ++i) {
+    std::vector<double> values;
+    for (const std::vector<DispatchTime>& frame : frames) values.push_back(frame[i].time_us);
+    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
+    median[i].time_us = values[values.size() / 2];
+  }
+  return median;
+}
+
+Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
+                                        const std::vector<Tensor>& inputs, uint32_t repeat,
+                                        std::vector<DispatchTime>* times) {
+  const vk::Context& context = device.context();
+  SHALE_TRY(const DataGraphPipeline pipeline, DataGraphPipeline::create(context, package, {.cache = device.cache()}));
+  SHALE_TRY(Session session, Session::create(pipeline));
+  SHALE_TRY_VOID(session.allocate_memory());
+
+  constexpr VkBufferUsageFlags kUsage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
+  const std::vector<const Resource*> in = tensors_of(pipeline.variant(), Category::kInput);
+  const std::vector<const Resource*> out = tensors_of(pipeline.variant(), Category::kOutput);
+  if (in.size() != inputs.size()) return bad_input("", "found {} inputs, the network has {}", inputs.size(), in.size());
+  std::vector<vk::Buffer> buffers;
+  const auto add = [&](const Resource& resource, vk::MemoryKind kind) -> Result<void> {
+    const uint64_t size = (resource.size_bytes + 3) / 4 * 4;
+    SHALE_TRY(vk::Buffer buffer, vk::Buffer::create(context, size, kUsage, kind));
+    SHALE_TRY_VOID(session.bind_tensor(resource.name, {buffer.get(), 0, size}));
+    buffers.push_back(std::move(buffer));
+    return {};
+  };
+  for (size_t i = 0; i < in.size(); ++i) {
+    if (inputs[i].type.dtype != in[i]->dtype || inputs[i].type.shape != in[i]->shape)
+      return bad_input("input \"" + in[i]->name + "\"", "found {}, expected {}", type_text(inputs[i].type),
+                       type_text({in[i]->dtype, in[i]->shape}));
+    SHALE_TRY_VOID(add(*in[i], vk::MemoryKind::kUpload));
+    std::copy(inputs[i].bytes.begin(), inputs[i].bytes.end(), buffers.back().mapped().begin());
+  }
+  for (const Resource* resource : out) SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kReadback));
+
+  const std::span<const Segment> segments(&pipeline.graph(), 1);
+  std::optional<vk::Timestamps> timestamps;
+  if (times) {
+    SHALE_TRY(timestamps, vk::Timestamps::create(context, interval_count(segments)));
+  }
+  std::vector<std::vector<DispatchTime>> measured;
+  for (uint32_t i = 0; i < repeat; ++i) {
+    Result<void> recorded;
+    SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
+      if (timestamps) timestamps->start(commands);
+      recorded = session.record(commands, timestamps ? &*timestamps : nullptr);
+      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
+                         VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+    }));
+    SHALE_TRY_VOID(recorded);
+    if (timestamps) {
+      SHALE_TRY(std::vector<DispatchTime> frame, measured_times(*timestamps, segments));
+      measured.push_back(std::move(frame));
+    }
+  }
+  if (times) *times = median_times(measured);
+  std::vector<Tensor> outputs;
+  for (size_t i = 0; i < out.size(); ++i) {
+    Tensor tensor{{out[i]->dtype, out[i]->shape}, {}};
+    const std::span<uint8_t> mapped = buffers[in.size() + i].mapped();
+    tensor.bytes.assign(mapped.begin(), mapped.begin() + static_cast<std::ptrdiff_t>(out[i]->size_bytes));
+    outputs.push_back(std::move(tensor));
+  }
+  return outputs;
+}
+
+std::optional<std::string> first_difference(const Tensor& found, const Tensor& expected) {
+  if (found.type != expected.type)
+    return fmt::format("found {}, expected {}", type_text(found.type), type_text(expected.type));
+  for (int64_t i = 0; i < expected.count(); ++i) {
+    if (found.get(i) == expected.get(i)) continue;
+    Shape at(expected.type.shape.size());
+    int64_t rest = i;
+    for (size_t axis = at.size(); axis-- > 0;) {
+      at[axis] = rest % expected.type.shape[axis];
+      rest /= expected.type.shape[axis];
+    }
+    return fmt::format("element {} at {}: found {}, expected {}", i, shape_text(at), found.get(i), expected.get(i));
+  }
+  return std::nullopt;
+}
+
+}  // namespace shale

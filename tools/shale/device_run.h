@@ -1,0 +1,64 @@
+// tools/shale/device_run.h -- a device of the tool's own, and networks run on it with host tensors.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "ir/graph/tensor.h"
+#include "ir/package/package.h"
+#include "runtime/profile/profile.h"
+#include "runtime/vk/device.h"
+#include "runtime/vk/instance.h"
+#include "runtime/vk/pipeline_cache.h"
+
+namespace shale {
+
+/// What --device, --cache and --validation say.
+struct DeviceArguments {
+  std::string name;         ///< part of the device's name; empty takes the first
+  std::string cache;        ///< file of the pipeline cache; empty is none
+  bool validation = false;  ///< run under the validation layer
+};
+
+/// --device, --cache, --validation.
+void add_device_options(CLI::App& app, DeviceArguments& device);
+
+/// Instance, device and pipeline cache with one lifetime.
+class ToolDevice {
+ public:
+  /// Errors: kDevice.
+  static Result<ToolDevice> open(const DeviceArguments& arguments);
+
+  const vk::Context& context() const { return device_->context(); }
+  VkPipelineCache cache() const;
+  /// Writes the pipeline cache if there is a file for it, and reports what validation said.
+  /// Errors: kDevice with the first validation message, kIo.
+  Result<void> close();
+  std::vector<std::string> take_validation_messages() { return instance_->take_validation_messages(); }
+
+ private:
+  std::unique_ptr<vk::Instance> instance_;
+  std::unique_ptr<vk::Device> device_;
+  std::unique_ptr<vk::PipelineCache> cache_;  ///< null without a file for it
+};
+
+/// Runs the package's graph `repeat` times on the inputs, in the order of the graph; returns the outputs of
+/// the last run. With `times`, the median over the runs of each dispatch.
+/// Errors: kBadInput if inputs do not match the package, kDevice.
+Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
+                                        const std::vector<Tensor>& inputs, uint32_t repeat = 1,
+                                        std::vector<DispatchTime>* times = nullptr);
+
+/// Element-wise median over several measured frames; all have the same dispatches.
+std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames);
+
+/// Inputs or outputs of a variant, in graph order.
+std::vector<const Resource*> tensors_of(const Variant& variant, Category category);
+
+/// "element 17 at [0,1,1,1]: found 4, expected 5", or nothing if the tensors are equal.
+std::optional<std::string> first_difference(const Tensor& found, const Tensor& expected);
+
+}  // namespace shale

@@ -1,0 +1,99 @@
+#include "tools/shale/npy.h"
+
+#include <algorithm>
+#include <charconv>
+#include <string_view>
+
+#include "ir/base/file.h"
+
+namespace shale {
+namespace {
+
+constexpr std::string_view kMagic = "\x93NUMPY";
+
+std::string_view descr_of(DType dtype) {
+  switch (dtype) {
+    case DType::kBool: return "|b1";
+    case DType::kInt4:
+    case DType::kInt8: return "|i1";
+    case DType::kInt16: return "<i2";
+    case DType::kInt32: return "<i4";
+    default: return "<i8";
+  }
+}
+
+/// The text after `'key':` in a header that NumPy writes as a Python dictionary.
+std::string_view field(std::string_view header, std::string_view key) {
+  const size_t at = header.find(fmt::format("'{}':", key));
+  if (at == std::string_view::npos) return {};
+  std::string_view rest = header.substr(at + key.size() + 3);
+  rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
+  return rest;
+}
+
+Result<Shape> parse_shape(const std::string& path, std::string_view text) {
+  Shape shape;
+  if (text.empty() || text[0] != '(') return bad_input(path, "the npy header has no shape");
+  text.remove_prefix(1);
+  for (;;) {
+    text.remove_prefix(std::min(text.find_first_not_of(" ,"), text.size()));
+    if (!text.empty() && text[0] == ')') return shape;
+    int64_t dim = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), dim);
+    if (error != std::errc()) return bad_input(path, "the npy header's shape is broken");
+    shape.push_back(dim);
+    text.remove_prefix(static_cast<size_t>(end - text.data()));
+  }
+}
+
+}  // namespace
+
+Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  if (bytes.size() < 12 || !std::equal(kMagic.begin(), kMagic.end(), bytes.begin(),
+                                       [](char a, uint8_t b) { return static_cast<uint8_t>(a) == b; }))
+    return bad_input(path, "is no npy file");
+  const bool long_header = bytes[6] >= 2;
+  size_t header_size = bytes[8] | (bytes[9] << 8);
+  if (long_header) header_size |= (static_cast<size_t>(bytes[10]) << 16) | (static_cast<size_t>(bytes[11]) << 24);
+  const size_t header_at = long_header ? 12 : 10;
+  if (bytes.size() - header_at < header_size)
+    return bad_input(path, "the npy header of {} bytes is cut off", header_size);
+  const std::string_view header(reinterpret_cast<const char*>(bytes.data()) + header_at, header_size);
+  const std::string_view descr = field(header, "descr");
+  const std::string wanted = fmt::format("'{}'", descr_of(type.dtype));
+  if (!descr.starts_with(wanted))
+    return bad_input(path, "found element type {}, expected {} for {}", descr.substr(0, descr.find(',')),
+                     wanted, dtype_info(type.dtype).wire);
+  if (!field(header, "fortran_order").starts_with("False"))
+    return bad_input(path, "is in Fortran order, expected C order");
+  SHALE_TRY(const Shape shape, parse_shape(path, field(header, "shape")));
+  if (shape != type.shape)
+    return bad_input(path, "found shape {}, expected {}", shape_text(shape), shape_text(type.shape));
+  const std::optional<int64_t> count = element_count(shape);
+  if (!count) return bad_input(path, "shape {} is not supported", shape_text(shape));
+  Tensor tensor{type, {}};
+  const size_t size = static_cast<size_t>(*count * tensor.host_bytes());
+  if (bytes.size() - header_at - header_size < size)
+    return bad_input(path, "found {} bytes of data, expected {}", bytes.size() - header_at - header_size, size);
+  const auto data = bytes.begin() + static_cast<std::ptrdiff_t>(header_at + header_size);
+  tensor.bytes.assign(data, data + static_cast<std::ptrdiff_t>(size));
+  return tensor;
+}
+
+Result<void> write_npy(const std::string& path, const Tensor& tensor) {
+  std::string dims;
+  for (const int64_t dim : tensor.type.shape) dims += fmt::format("{},", dim);
+  if (tensor.type.shape.size() > 1) dims.pop_back();
+  std::string header = fmt::format("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
+                                   descr_of(tensor.type.dtype), dims);
+  header.append(63 - (10 + header.size()) % 64, ' ');
+  header += '\n';
+  std::string file(kMagic);
+  file += {'\x01', '\x00', static_cast<char>(header.size() & 255), static_cast<char>(header.size() >> 8)};
+  file += header;
+  file.append(reinterpret_cast<const char*>(tensor.bytes.data()), tensor.bytes.size());
+  return write_text(path, file);
+}
+
+}  // namespace shale

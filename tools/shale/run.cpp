@@ -1,0 +1,179 @@
+// shale run: a network alone, arrays in, arrays out.
+#include <filesystem>
+#include <random>
+
+#include "compiler/frontend/frontend.h"
+#include "ir/base/file.h"
+#include "ir/reference/interpreter.h"
+#include "tools/shale/command.h"
+#include "tools/shale/device_run.h"
+#include "tools/shale/npy.h"
+
+namespace shale {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Arguments {
+  std::string file, check_model, output_folder, profile_file;
+  std::vector<std::string> inputs;
+  std::optional<uint64_t> random_seed;
+  CompileArguments compile;
+  DeviceArguments device;
+  uint32_t repeat = 1;
+  bool check = false, profile = false, json = false;
+};
+
+/// Values over the whole range of the type, the same on every machine for a seed.
+Tensor random_tensor(const TensorType& type, std::mt19937_64& generator) {
+  Tensor tensor = Tensor::zeros(type);
+  const IntRange range = dtype_range(type.dtype);
+  const uint64_t span = static_cast<uint64_t>(range.max - range.min) + 1;
+  for (int64_t i = 0; i < tensor.count(); ++i)
+    tensor.set(i, range.min + static_cast<int64_t>(span == 0 ? generator() : generator() % span));
+  return tensor;
+}
+
+Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Variant& variant) {
+  std::vector<Tensor> tensors;
+  std::mt19937_64 generator(arguments.random_seed.value_or(0));
+  std::vector<std::string> unused = arguments.inputs;
+  for (const Resource* resource : tensors_of(variant, Category::kInput)) {
+    const TensorType type{resource->dtype, resource->shape};
+    const auto given = std::find_if(unused.begin(), unused.end(),
+                                    [&](const std::string& text) { return text.starts_with(resource->name + "="); });
+    if (given != unused.end()) {
+      SHALE_TRY(Tensor tensor, read_npy(given->substr(resource->name.size() + 1), type));
+      tensors.push_back(std::move(tensor));
+      unused.erase(given);
+    } else if (arguments.random_seed) {
+      tensors.push_back(random_tensor(type, generator));
+    } else {
+      return bad_input("input \"" + resource->name + "\"", "is missing; give --input {}=FILE.npy of {}, or --random SEED",
+                       resource->name, type_text(type));
+    }
+  }
+  if (!unused.empty()) return bad_input("--input", "\"{}\" names no input of the network", unused.front());
+  return tensors;
+}
+
+Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& graph) {
+  std::error_code ignored;
+  if (!fs::is_directory(arguments.file, ignored)) {
+    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(arguments.file));
+    if (is_package(bytes)) {
+      if (arguments.check && arguments.check_model.empty())
+        return bad_input("--check", "a package holds no graph; name its model with --model");
+      if (!arguments.check_model.empty()) {
+        SHALE_TRY(const ModelFiles model, load_model(arguments.check_model, ""));
+        SHALE_TRY(graph, import_model(model.bytes));
+      }
+      Result<Package> package = read_package(bytes);
+      if (!package) return in_file(arguments.file, package.error());
+      return package;
+    }
+  }
+  SHALE_TRY(ModelFiles model, load_model(arguments.file, arguments.compile.frame));
+  model.frame.reset();  // the network alone
+  SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
+  SHALE_TRY(Compiled compiled, compile_model(model, options));
+  for (const std::string& warning : compiled.warnings) fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  graph = std::move(compiled.graph);
+  return std::move(compiled.package);
+}
+
+/// The graph with the shapes that the package was compiled for.
+Result<void> match_shapes(Graph& graph, const Variant& variant) {
+  PassContext context;
+  for (const Resource* resource : tensors_of(variant, Category::kInput)) context.input_shapes[resource->name] = resource->shape;
+  SHALE_TRY_VOID([&]() -> Result<void> {
+    const Result<Change> change = run_pass(*find_pass("infer-shapes"), graph, context);
+    if (!change) return change.error();
+    return {};
+  }());
+  return {};
+}
+
+Result<int> run(const Arguments& arguments) {
+  std::optional<Graph> graph;
+  SHALE_TRY(const Package package, load_package(arguments, graph));
+  SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
+  const Variant& variant = package.variants.front();
+  SHALE_TRY(const std::vector<Tensor> inputs, read_inputs(arguments, variant));
+  std::vector<DispatchTime> times;
+  const bool measure = arguments.profile || !arguments.profile_file.empty();
+  SHALE_TRY(const std::vector<Tensor> outputs,
+            run_network(device, package, inputs, arguments.repeat, measure ? &times : nullptr));
+  SHALE_TRY_VOID(device.close());
+
+  Json json{{"device", device.context().caps.name}};
+  int exit = kDone;
+  const std::vector<const Resource*> names = tensors_of(variant, Category::kOutput);
+  if (arguments.check) {
+    SHALE_TRY_VOID(match_shapes(*graph, variant));
+    Progress progress("interpreting");
+    SHALE_TRY(const std::vector<Tensor> expected,
+              interpret(*graph, inputs, [&](uint32_t node, uint32_t count) { return progress.step(node, count); }));
+    for (size_t i = 0; i < outputs.size(); ++i) {
+      const std::optional<std::string> difference = first_difference(outputs[i], expected[i]);
+      json["check"][names[i]->name] = difference.value_or("equal");
+      if (difference) exit = kRefused;
+    }
+  }
+  if (!arguments.output_folder.empty()) {
+    std::error_code error;
+    fs::create_directories(arguments.output_folder, error);
+    if (error) return io_error(arguments.output_folder, "cannot create: {}", error.message());
+    for (size_t i = 0; i < outputs.size(); ++i) {
+      std::string file = names[i]->name;
+      std::replace(file.begin(), file.end(), '/', '_');
+      const std::string path = (fs::path(arguments.output_folder) / (file + ".npy")).string();
+      SHALE_TRY_VOID(write_npy(path, outputs[i]));
+      json["outputs"][names[i]->name] = path;
+    }
+  }
+  double total_us = 0;
+  for (const DispatchTime& time : times) {
+    total_us += time.time_us;
+    json["dispatches"].push_back({{"name", time.name}, {"kernel", time.kernel}, {"time_us", time.time_us}});
+  }
+  if (measure) json["total_us"] = total_us;
+  if (!arguments.profile_file.empty()) SHALE_TRY_VOID(write_text(arguments.profile_file, json.dump(2) + "\n"));
+  if (arguments.json) {
+    print_json(json);
+    return exit;
+  }
+  fmt::print("ran on {}\n", device.context().caps.name);
+  if (arguments.check)
+    for (const auto& [name, text] : json["check"].items())
+      fmt::print("output \"{}\": {} the interpreter\n", name, text == "equal" ? "equal to" : "differs from (" + text.get<std::string>() + ")");
+  if (arguments.profile) {
+    for (const DispatchTime& time : times)
+      fmt::print("  {:>10.1f} us {:>5.1f} %  {:<20} {}\n", time.time_us, total_us > 0 ? 100 * time.time_us / total_us : 0.0,
+                 time.kernel, time.name);
+    fmt::print("  {:>10.1f} us total, median of {}\n", total_us, arguments.repeat);
+  }
+  return exit;
+}
+
+}  // namespace
+
+Action add_run(CLI::App& app) {
+  auto arguments = std::make_shared<Arguments>();
+  app.add_option("file", arguments->file, "model (.tosa, .tir), model folder, or package (.shale)")->required();
+  app.add_option("--input", arguments->inputs, "NAME=FILE.npy for each graph input");
+  app.add_option("--random", arguments->random_seed, "seed for random values of the inputs that are not given");
+  app.add_option("-o,--output", arguments->output_folder, "folder for the outputs, NAME.npy each");
+  app.add_flag("--check", arguments->check, "compare bit for bit with the reference interpreter");
+  app.add_option("--model", arguments->check_model, "the model of a package, for --check");
+  app.add_option("--repeat", arguments->repeat, "runs; times are the median")->check(CLI::Range(1, 10000));
+  app.add_flag("--profile", arguments->profile, "print the time of each dispatch");
+  app.add_option("--profile-to", arguments->profile_file, "write the times as JSON, for shale report --measured");
+  arguments->compile.add_to(app);
+  add_device_options(app, arguments->device);
+  app.add_flag("--json", arguments->json, "print the result as JSON");
+  app.footer("Example: shale run models/srpo_x2 --random 1 --check --profile");
+  return [arguments] { return run(*arguments); };
+}
+
+}  // namespace shale

@@ -1,0 +1,52 @@
+// shale verify: is a model or a package legal?
+#include "compiler/frontend/frontend.h"
+#include "ir/base/file.h"
+#include "ir/verify/verify.h"
+#include "tools/shale/command.h"
+
+namespace shale {
+namespace {
+
+struct Arguments {
+  std::vector<std::string> files;
+  bool json = false;
+};
+
+Result<std::string> verify_file(const std::string& path) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  if (is_package(bytes)) {
+    SHALE_TRY(const Package package, read_package(bytes));
+    return fmt::format("package, {} variants", package.variants.size());
+  }
+  SHALE_TRY(const Graph graph, import_model(bytes));
+  SHALE_TRY_VOID(verify(graph));
+  return fmt::format("{}, {} operators", model_format(bytes), graph.nodes.size());
+}
+
+Result<int> verify_files(const Arguments& arguments) {
+  Json json = Json::array();
+  int exit = kDone;
+  for (const std::string& path : arguments.files) {
+    const Result<std::string> result = verify_file(path);
+    const std::string text = result ? *result : result.error().where == path ? result.error().message : result.error().text();
+    if (!result) exit = kRefused;
+    json.push_back({{"file", path}, {"valid", result.has_value()}, {result ? "summary" : "error", text}});
+    if (arguments.json) continue;
+    if (result) fmt::print("{}: valid ({})\n", path, text);
+    else fmt::print(stderr, "error: {}: {}\n", path, text);
+  }
+  if (arguments.json) print_json(json);
+  return exit;
+}
+
+}  // namespace
+
+Action add_verify(CLI::App& app) {
+  auto arguments = std::make_shared<Arguments>();
+  app.add_option("files", arguments->files, "models (.tosa, .tir) or packages (.shale)")->required();
+  app.add_flag("--json", arguments->json, "print the result as JSON");
+  app.footer("Example: shale verify models/srpo_x2/model.tosa srpo.shale");
+  return [arguments] { return verify_files(*arguments); };
+}
+
+}  // namespace shale
