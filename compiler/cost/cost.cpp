@@ -1,6 +1,6 @@
 #include "compiler/cost/cost.h"
 
-#include <algorithm>
+#include <limits>
 #include <set>
 
 namespace shale {
@@ -31,14 +31,18 @@ bool has_bias(const Graph& graph, const Node& node) {
   return !bias.is_constant() || bias.constant->count() > 1 || bias.constant->get(0) != 0;
 }
 
-uint64_t node_parameters(const Graph& graph, const Node& node) {
+/// A constant that several nodes use is one set of parameters, charged to the first of them.
+uint64_t node_parameters(const Graph& graph, const Node& node, std::set<ValueId>& counted) {
   uint64_t count = 0;
+  const auto add = [&](ValueId id) {
+    if (graph.value(id).is_constant() && counted.insert(id).second) count += elements(graph, id);
+  };
   if (is_convolution(node.op)) {
-    if (graph.value(node.inputs[1]).is_constant()) count += elements(graph, node.inputs[1]);
-    if (graph.value(node.inputs[2]).is_constant() && has_bias(graph, node)) count += elements(graph, node.inputs[2]);
+    add(node.inputs[1]);
+    if (has_bias(graph, node)) add(node.inputs[2]);
   } else if (node.op == Op::kMatmul) {
-    for (const size_t operand : {0u, 1u})
-      if (graph.value(node.inputs[operand]).is_constant()) count += elements(graph, node.inputs[operand]);
+    add(node.inputs[0]);
+    add(node.inputs[1]);
   }
   return count;
 }
@@ -90,18 +94,20 @@ Cost group_cost(const Graph& graph, const Group& group) {
 
 uint64_t parameter_count(const Graph& graph) {
   uint64_t count = 0;
-  for (const Node& node : graph.nodes) count += node_parameters(graph, node);
+  std::set<ValueId> counted;
+  for (const Node& node : graph.nodes) count += node_parameters(graph, node, counted);
   return count;
 }
 
 std::map<std::string, OpCost> cost_by_operator(const Graph& graph) {
   std::map<std::string, OpCost> table;
+  std::set<ValueId> counted;
   for (uint32_t i = 0; i < graph.nodes.size(); ++i) {
     const Node& node = graph.nodes[i];
     const Cost cost = group_cost(graph, {{NodeId{i}}, std::nullopt, node.output});
     OpCost& row = table[std::string(op_info(node.op).name)];
     ++row.nodes;
-    row.parameters += node_parameters(graph, node);
+    row.parameters += node_parameters(graph, node, counted);
     row.macs += cost.macs;
     row.ops += cost.ops;
     row.bytes_read += cost.bytes_read;
@@ -131,8 +137,9 @@ Verdict judge(uint64_t macs, const Budget& budget) {
   Verdict verdict;
   verdict.available_gop = network_budget_ms * budget.tops;  // ms times TOP/s is GOP
   verdict.network_ms = gop / (budget.tops * budget.efficiency);
-  verdict.required_efficiency = verdict.available_gop > 0 ? gop / verdict.available_gop : 0;
-  verdict.required_tops = network_budget_ms > 0 ? gop / (network_budget_ms * budget.efficiency) : 0;
+  constexpr double kNever = std::numeric_limits<double>::infinity();
+  verdict.required_efficiency = network_budget_ms > 0 ? gop / verdict.available_gop : kNever;
+  verdict.required_tops = network_budget_ms > 0 ? gop / (network_budget_ms * budget.efficiency) : kNever;
   verdict.headroom_ms = network_budget_ms - verdict.network_ms;
   verdict.fits = verdict.headroom_ms >= 0;
   return verdict;

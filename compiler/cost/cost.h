@@ -19,8 +19,8 @@ uint64_t node_ops(const Graph& graph, const Node& node);
 /// MACs, operations and bytes of a dispatch; time is left 0. Constants that become literals cost nothing.
 Cost group_cost(const Graph& graph, const Group& group);
 
-/// Elements of weights and biases of convolutions and MATMUL; multipliers, shifts, tables and zero points
-/// are no parameters.
+/// Elements of weights and biases of convolutions and MATMUL, a constant of several nodes once; multipliers,
+/// shifts, tables and zero points are no parameters, nor is a bias of a single zero.
 uint64_t parameter_count(const Graph& graph);
 
 /// Figures of one operator kind or of the whole graph.
@@ -32,7 +32,8 @@ std::map<std::string, OpCost> cost_by_operator(const Graph& graph);
 
 /// Counter operations of SRPO's table 1 ("counter_A"): a convolution counts its MACs and one per output
 /// for its bias, ReLU one per output, an upsampling layer one per output, a transposed convolution is
-/// charged per output position, pooling one per input; everything else is free.
+/// charged per output position, pooling one per input; everything else is free. Every CLAMP is taken for a
+/// ReLU; one that an exporter folded into the zero point of a RESCALE leaves no trace and is not counted.
 /// Source: reference/cost_tables.json, conventions.counter_A.
 uint64_t counter_operations(const Graph& graph);
 
@@ -46,13 +47,14 @@ struct Budget {
 
 struct Verdict {
   double network_ms = 0;           ///< at the assumed efficiency
-  double available_gop = 0;        ///< at full efficiency
-  double required_efficiency = 0;  ///< above 1: does not fit whatever the efficiency
-  double required_tops = 0;        ///< at the assumed efficiency
+  double available_gop = 0;        ///< at full efficiency; below 0 if the passes alone exceed the frame
+  double required_efficiency = 0;  ///< above 1: does not fit whatever the efficiency; infinite if no time is left
+  double required_tops = 0;        ///< at the assumed efficiency; infinite if no time is left
   double headroom_ms = 0;          ///< negative if it does not fit
   bool fits = false;
 };
 
+/// `tops` and `efficiency` must be above 0.
 Verdict judge(uint64_t macs, const Budget& budget);
 
 }  // namespace shale

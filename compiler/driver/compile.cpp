@@ -80,7 +80,7 @@ class VariantBuilder {
       SHALE_TRY_VOID(add_graph());
     }
     place_intermediates();
-    SHALE_TRY_VOID(add_requirements());
+    add_requirements();
     return std::move(variant_);
   }
 
@@ -313,29 +313,14 @@ class VariantBuilder {
     return {};
   }
 
-  Result<void> add_requirements() {
-    Requirements& needs = variant_.requirements;
-    for (const Segment& segment : variant_.segments) {
-      for (const Dispatch& dispatch : segment.dispatches) {
-        uint32_t storage = 0, texels = 0;
-        for (const Binding& binding : dispatch.bindings) {
-          const Resource& resource = variant_.resources[binding.resource];
-          if (binding.type == BindingType::kStorageBuffer) {
-            ++storage;
-            needs.storage_range_bytes = std::max(needs.storage_range_bytes, bound_bytes(resource));
-          } else if (binding.type == BindingType::kUniformTexelBuffer) {
-            ++texels;
-            needs.texel_elements =
-                std::max(needs.texel_elements, resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
-          }
-        }
-        needs.storage_buffers = std::max(needs.storage_buffers, storage);
-        needs.texel_buffers = std::max(needs.texel_buffers, texels);
-      }
-    }
-    for (const std::string& line : missing(profile_.caps, needs))
+  /// What the bindings ask for joins what the modules ask for.
+  void add_requirements() {
+    const Requirements from_modules = variant_.requirements;
+    variant_.requirements = binding_requirements(variant_);
+    variant_.requirements.features = from_modules.features;
+    variant_.requirements.workgroup_invocations = from_modules.workgroup_invocations;
+    for (const std::string& line : missing(profile_.caps, variant_.requirements))
       warnings_.push_back(fmt::format("target {}: {}", profile_.name, line));
-    return {};
   }
 
   const Graph& graph_;

@@ -31,7 +31,14 @@ std::string narrow(const std::string& expression, DType dtype) {
 }  // namespace
 
 Codegen::Codegen(const GroupProblem& problem)
-    : problem_(problem), graph_(*problem.graph), producers_(graph_.producers()) {}
+    : problem_(problem), graph_(*problem.graph), producers_(graph_.producers()) {
+  // INT48 may live in registers and literals alone, so bindings do not tell.
+  const auto is_int48 = [&](ValueId id) { return value(id).type.dtype == DType::kInt48; };
+  for (const NodeId id : problem.group.nodes) {
+    const Node& node = graph_.node(id);
+    if (is_int48(node.output) || std::any_of(node.inputs.begin(), node.inputs.end(), is_int48)) int64_ = true;
+  }
+}
 
 std::string Codegen::literal(int64_t value, DType dtype) {
   if (dtype == DType::kInt48) return fmt::format("int64_t({}l)", value);
@@ -66,7 +73,6 @@ Position Codegen::split(const std::string& index, const Shape& shape) {
 size_t Codegen::bind(ValueId id, BindingType type, ImageFormat format, bool writes) {
   const auto [entry, is_new] = binding_of_.try_emplace({id, type, format}, bindings_.size());
   if (is_new) bindings_.push_back({id, type, format, writes});
-  if (value(id).type.dtype == DType::kInt48) int64_ = true;
   return entry->second;
 }
 

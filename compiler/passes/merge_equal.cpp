@@ -24,14 +24,19 @@ Result<Change> merge_equal(Graph& graph, const PassContext&) {
       return graph.value(entry.second).constant == value.constant;
     });
     if (same == last) constants.emplace(hash, ValueId{i});
-    else renamed[i] = same->second, change = Change::kChanged;
+    else renamed[i] = same->second;
   }
 
-  std::map<std::tuple<Op, std::vector<ValueId>, Attrs, uint32_t>, ValueId> seen;
+  // The element type of the result is part of what a node computes: CAST has its target type only there.
+  std::map<std::tuple<Op, std::vector<ValueId>, Attrs, DType, uint32_t>, ValueId> seen;
   std::erase_if(graph.nodes, [&](Node& node) {
-    for (ValueId& input : node.inputs) input = renamed[input.index];
+    for (ValueId& input : node.inputs) {
+      if (renamed[input.index] != input) change = Change::kChanged;
+      input = renamed[input.index];
+    }
+    const DType result = graph.value(node.output).type.dtype;
     const auto [entry, is_new] =
-        seen.try_emplace({node.op, node.inputs, node.attrs, node.group}, node.output);
+        seen.try_emplace({node.op, node.inputs, node.attrs, result, node.group}, node.output);
     // A graph output keeps its own node, since outputs are told apart by their values.
     const bool is_output = std::find(graph.outputs.begin(), graph.outputs.end(), node.output) != graph.outputs.end();
     if (is_new || is_output) return false;

@@ -70,7 +70,9 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines, cons
   shader.setPreamble(preamble.c_str());
   shader.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
   shader.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_3);
-  shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_6);
+  // From 1.6 on glslang writes the local size as ids, which a device may run only with the feature maintenance4
+  // enabled; and spirv_needs reads the literal form.
+  shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_5);
   const TBuiltInResource limits = resource_limits();
   const EShMessages messages = static_cast<EShMessages>(EShMsgSpvRules | EShMsgVulkanRules);
   EmbeddedIncluder includer;

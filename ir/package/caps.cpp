@@ -8,15 +8,19 @@ namespace shale {
 namespace {
 
 constexpr std::array<const char*, kFeatureCount> kFeatureNames{
-    "storageBuffer8BitAccess", "storageBuffer16BitAccess", "shaderInt8",
-    "shaderInt16",             "shaderInt64",              "shaderFloat16",
-    "shaderIntegerDotProduct", "cooperativeMatrix"};
+    "storageBuffer8BitAccess",
+    "storageBuffer16BitAccess",
+    "shaderInt8",
+    "shaderInt16",
+    "shaderInt64",
+    "shaderFloat16",
+    "shaderIntegerDotProduct",
+    "cooperativeMatrix",
+};
 
 }  // namespace
 
-const char* feature_name(Feature feature) {
-  return kFeatureNames[static_cast<uint32_t>(feature)];
-}
+const char* feature_name(Feature feature) { return kFeatureNames[static_cast<uint32_t>(feature)]; }
 
 std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& requirements) {
   std::vector<std::string> lines;
@@ -31,8 +35,7 @@ std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& req
   at_least("maxComputeWorkGroupInvocations", caps.max_workgroup_invocations,
            requirements.workgroup_invocations);
   at_least("maxComputeSharedMemorySize", caps.max_shared_bytes, requirements.shared_bytes);
-  at_least("maxStorageBufferRange", caps.max_storage_range_bytes,
-           requirements.storage_range_bytes);
+  at_least("maxStorageBufferRange", caps.max_storage_range_bytes, requirements.storage_range_bytes);
   at_least("maxTexelBufferElements", caps.max_texel_elements, requirements.texel_elements);
   at_least("maxPerStageDescriptorStorageBuffers", caps.max_storage_buffers,
            requirements.storage_buffers);

@@ -13,21 +13,19 @@ constexpr size_t kSpirvHeaderWords = 5;
 constexpr size_t kMaxRank = 6;  // TOSA 1.0, level 8K
 
 bool has_control_characters(std::string_view text) {
-  return std::any_of(text.begin(), text.end(), [](char c) {
-    return static_cast<unsigned char>(c) < 0x20 || c == 0x7f;
-  });
+  return std::any_of(text.begin(), text.end(),
+                     [](char c) { return static_cast<unsigned char>(c) < 0x20 || c == 0x7f; });
 }
 
 /// A name goes into messages, tables and JSON as it stands.
 Result<void> check_name(const std::string& where, const char* what, const std::string& name) {
   if (name.empty()) return bad_input(where, "the {} is empty", what);
-  if (has_control_characters(name))
-    return bad_input(where, "the {} has control characters", what);
+  if (has_control_characters(name)) return bad_input(where, "the {} has control characters", what);
   return {};
 }
 
-Result<void> check_unique_name(const std::string& where, const char* what,
-                               const std::string& name, std::set<std::string_view>& taken) {
+Result<void> check_unique_name(const std::string& where, const char* what, const std::string& name,
+                               std::set<std::string_view>& taken) {
   SHALE_TRY_VOID(check_name(where, what, name));
   if (!taken.insert(name).second)
     return bad_input(where, "the {} \"{}\" is taken already", what, name);
@@ -45,11 +43,10 @@ Result<void> check_range(const std::string& where, const Resource& tensor, const
   return {};
 }
 
-Result<void> check_tensor(const std::string& where, const Resource& tensor,
-                          const Variant& variant, uint64_t weight_bytes) {
+Result<void> check_tensor(const std::string& where, const Resource& tensor, const Variant& variant,
+                          uint64_t weight_bytes) {
   if (!is_dtype(static_cast<uint32_t>(tensor.dtype)))
-    return bad_input(where, "element type {} does not exist",
-                     static_cast<uint32_t>(tensor.dtype));
+    return bad_input(where, "element type {} does not exist", static_cast<uint32_t>(tensor.dtype));
   if (tensor.dtype == DType::kUnknown || tensor.dtype == DType::kShape)
     return bad_input(where, "a tensor cannot have the element type {}",
                      dtype_info(tensor.dtype).wire);
@@ -98,8 +95,7 @@ Result<void> check_image(const std::string& where, const Resource& image) {
     return bad_input(where, "history depth {} is outside 2..{}", image.history_depth,
                      kMaxHistoryDepth);
   if (!history && image.history_depth != 0)
-    return bad_input(where, "history depth {} of an image that is no history",
-                     image.history_depth);
+    return bad_input(where, "history depth {} of an image that is no history", image.history_depth);
   return {};
 }
 
@@ -120,8 +116,7 @@ Result<void> check_tensor_binding(const std::string& where, const Binding& bindi
     return {};
   }
   if (binding.writes) return bad_input(where, "a uniform texel buffer is written");
-  if (binding.view_format != ImageFormat::kRgba8Sint &&
-      binding.view_format != ImageFormat::kR8Sint)
+  if (binding.view_format != ImageFormat::kRgba8Sint && binding.view_format != ImageFormat::kR8Sint)
     return bad_input(where, "a texel buffer cannot have the view format {}",
                      image_format_info(binding.view_format).name);
   if (tensor.dtype != DType::kInt8 && tensor.dtype != DType::kBool)
@@ -156,8 +151,8 @@ Result<void> check_image_binding(const std::string& where, const Binding& bindin
   return {};
 }
 
-Result<void> check_binding(const std::string& where, const Binding& binding,
-                           const Variant& variant, SegmentKind segment) {
+Result<void> check_binding(const std::string& where, const Binding& binding, const Variant& variant,
+                           SegmentKind segment) {
   if (binding.binding >= kMaxBindings)
     return bad_input(where, "the binding number is not below {}", kMaxBindings);
   if (static_cast<uint32_t>(binding.type) >= kBindingTypeCount)
@@ -240,9 +235,8 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
     const std::string at = fmt::format("{}, resource \"{}\"", where, resource.name);
     if (static_cast<uint32_t>(resource.category) >= kCategoryCount)
       return bad_input(at, "category {} does not exist", static_cast<uint32_t>(resource.category));
-    SHALE_TRY_VOID(is_image(resource.category)
-                       ? check_image(at, resource)
-                       : check_tensor(at, resource, variant, weight_bytes));
+    SHALE_TRY_VOID(is_image(resource.category) ? check_image(at, resource)
+                                               : check_tensor(at, resource, variant, weight_bytes));
   }
   for (size_t i = 0; i < variant.modules.size(); ++i) {
     const Spirv& words = variant.modules[i];
@@ -267,8 +261,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
                                     dispatch, variant, segment.kind));
     }
   }
-  if (graphs != 1)
-    return bad_input(where, "has {} graph segments, expected exactly one", graphs);
+  if (graphs != 1) return bad_input(where, "has {} graph segments, expected exactly one", graphs);
   for (size_t i = 0; i < variant.proofs.size(); ++i) {
     const std::string at = fmt::format("{}, proof {}", where, i);
     SHALE_TRY_VOID(check_name(at, "name", variant.proofs[i].name));
@@ -291,21 +284,16 @@ Requirements binding_requirements(const Variant& variant) {
         switch (binding.type) {
           case BindingType::kStorageBuffer:
             ++storage_buffers;
-            needs.storage_range_bytes =
-                std::max(needs.storage_range_bytes, bound_bytes(resource));
+            needs.storage_range_bytes = std::max(needs.storage_range_bytes, bound_bytes(resource));
             break;
           case BindingType::kUniformTexelBuffer:
             ++texel_buffers;
-            needs.texel_elements = std::max(
-                needs.texel_elements,
-                resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
+            needs.texel_elements =
+                std::max(needs.texel_elements,
+                         resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
             break;
-          case BindingType::kSampledImage:
-            ++texel_buffers;
-            break;
-          case BindingType::kStorageImage:
-            ++storage_images;
-            break;
+          case BindingType::kSampledImage: ++texel_buffers; break;
+          case BindingType::kStorageImage: ++storage_images; break;
         }
       }
       needs.storage_buffers = std::max(needs.storage_buffers, storage_buffers);
@@ -323,8 +311,8 @@ Result<void> check_package(const Package& package) {
     return bad_input("provenance", "has control characters");
   if (package.variants.empty()) return bad_input("", "the package has no variant");
   for (size_t i = 0; i < package.variants.size(); ++i)
-    SHALE_TRY_VOID(check_variant(fmt::format("variant {}", i), package.variants[i],
-                                 package.weights.size()));
+    SHALE_TRY_VOID(
+        check_variant(fmt::format("variant {}", i), package.variants[i], package.weights.size()));
   return {};
 }
 

@@ -46,9 +46,8 @@ void dump_resource(std::string& text, size_t index, const Resource& r) {
     return;
   }
   const bool placed = r.category == Category::kIntermediate || r.category == Category::kWeights;
-  line(text, "    {:3} {:14} {}[{}] {} bytes{}{} \"{}\"", index, category,
-       dtype_info(r.dtype).name, fmt::join(r.shape, ","), r.size_bytes,
-       placed ? fmt::format(" at {}", r.offset_bytes) : "",
+  line(text, "    {:3} {:14} {}[{}] {} bytes{}{} \"{}\"", index, category, dtype_info(r.dtype).name,
+       fmt::join(r.shape, ","), r.size_bytes, placed ? fmt::format(" at {}", r.offset_bytes) : "",
        r.quantization ? fmt::format(" scale {} zero point {}", r.quantization->scale,
                                     r.quantization->zero_point)
                       : "",
@@ -56,13 +55,13 @@ void dump_resource(std::string& text, size_t index, const Resource& r) {
 }
 
 void dump_binding(std::string& text, const Binding& b, const Variant& variant) {
+  const char* access = !b.writes ? "reads" : b.reads ? "reads and writes" : "writes";
   line(text, "      {:2} {}{} {} \"{}\"{}", b.binding,
        kBindingTypeNames[static_cast<uint32_t>(b.type)],
        b.view_format == ImageFormat::kNone
            ? ""
            : fmt::format(" {}", image_format_info(b.view_format).name),
-       b.reads && b.writes ? "reads and writes" : b.writes ? "writes" : "reads",
-       variant.resources[b.resource].name,
+       access, variant.resources[b.resource].name,
        b.frames_back ? fmt::format(" {} frame(s) back", b.frames_back) : "");
 }
 
@@ -112,8 +111,7 @@ std::string dump_package(const Package& package) {
   line(text, "made by {} with \"{}\"", package.provenance.compiler, package.provenance.options);
   line(text, "weights: {} bytes, hash {:016x}", package.weights.size(),
        stable_hash(package.weights));
-  for (size_t i = 0; i < package.variants.size(); ++i)
-    dump_variant(text, i, package.variants[i]);
+  for (size_t i = 0; i < package.variants.size(); ++i) dump_variant(text, i, package.variants[i]);
   return text;
 }
 

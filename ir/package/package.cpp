@@ -50,11 +50,10 @@ Offset<fbs::Resource> write_resource(Builder& builder, const Resource& r) {
   const fbs::Quantization quantization =
       r.quantization ? fbs::Quantization(r.quantization->scale, r.quantization->zero_point)
                      : fbs::Quantization();
-  return fbs::CreateResource(builder, name, static_cast<fbs::Category>(r.category),
-                             static_cast<uint32_t>(r.dtype), shape,
-                             r.quantization ? &quantization : nullptr, r.offset_bytes,
-                             r.size_bytes, static_cast<fbs::ImageFormat>(r.format), r.width,
-                             r.height, r.history_depth);
+  return fbs::CreateResource(
+      builder, name, static_cast<fbs::Category>(r.category), static_cast<uint32_t>(r.dtype), shape,
+      r.quantization ? &quantization : nullptr, r.offset_bytes, r.size_bytes,
+      static_cast<fbs::ImageFormat>(r.format), r.width, r.height, r.history_depth);
 }
 
 Offset<fbs::Binding> write_binding(Builder& builder, const Binding& b) {
@@ -105,10 +104,11 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
                             modules, proofs);
 }
 
-// ---- Reading: verified tables to plain data. Enum values are copied unseen; check_package judges them.
+// ---- Reading: verified tables to plain data. check_package judges the enum values later.
 
-/// Copies out of a verified buffer. The verifier lets many references lead to one vector, so a small file
-/// could ask for any amount of memory: each copied part is paid for from the length of the file.
+/// Copies out of a verified buffer. The verifier lets many references lead to one vector, so a
+/// small file could ask for any amount of memory: each copied part is paid for from the length of
+/// the file.
 class Copier {
  public:
   explicit Copier(size_t file_bytes) : left_(file_bytes) {}

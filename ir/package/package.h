@@ -1,4 +1,4 @@
-// ir/package/package.h -- the contract between compiler and runtime: a compiled network as plain data.
+// ir/package/package.h -- the contract of compiler and runtime: a compiled network as plain data.
 #pragma once
 
 #include <array>
@@ -98,8 +98,9 @@ struct Resource {
   bool operator==(const Resource&) const = default;
 };
 
-/// Bytes that a buffer descriptor of a tensor spans: its size, rounded up to whole 32-bit words, so that
-/// kernels may address int8 tensors by words. What the last word holds beyond the tensor means nothing.
+/// Bytes that a buffer descriptor of a tensor spans: its size, rounded up to whole 32-bit words, so
+/// that kernels may address int8 tensors by words. What the last word holds beyond the tensor means
+/// nothing.
 inline constexpr uint64_t bound_bytes(const Resource& tensor) {
   return (tensor.size_bytes + 3) / 4 * 4;
 }
@@ -197,27 +198,28 @@ struct Package {
 /// The variant's indices must be sound (check_package).
 Requirements binding_requirements(const Variant& variant);
 
-/// Everything that the runtime relies on, on plain data: enum values, indices, ranges inside the arena
-/// and the weight blob, sizes that follow from shapes, alignments, unique names without control
-/// characters, binding rules, SPIR-V magic and length, grids in 1..kMaxWorkgroups, history rules, one
-/// graph segment per variant, requirements that cover the bindings.
-/// The body of the SPIR-V is not judged: a driver gets it as it gets any application's shader.
+/// Everything that the runtime relies on, on plain data: enum values, indices, ranges inside the
+/// arena and the weight blob, sizes that follow from shapes, alignments, unique names without
+/// control characters, binding rules, SPIR-V magic and length, grids in 1..kMaxWorkgroups, history
+/// rules, one graph segment per variant, requirements that cover the bindings. The body of the
+/// SPIR-V is not judged: a driver gets it as it gets any application's shader.
 /// Errors: kBadInput, naming what and where ('variant 0, dispatch "conv1", binding 2: ...').
 Result<void> check_package(const Package& package);
 
-/// Same package, same bytes. `package` must pass check_package; the result then passes read_package.
+/// Same package, same bytes. `package` must pass check_package; the result then passes
+/// read_package.
 std::vector<uint8_t> write_package(const Package& package);
 
-/// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum values, then
-/// check_package. Memory and time are bounded by the length of the file.
+/// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum
+/// values, then check_package. Memory and time are bounded by the length of the file.
 /// Errors: kBadInput (or kUnsupported for a newer major version), naming what and where.
 Result<Package> read_package(std::span<const uint8_t> bytes);
 
 /// True if the bytes carry the `.shale` file identifier.
 bool is_package(std::span<const uint8_t> bytes);
 
-/// For people: provenance, requirements, resources, segments, dispatches, proofs. `package` must pass
-/// check_package.
+/// For people: provenance, requirements, resources, segments, dispatches, proofs. `package` must
+/// pass check_package.
 std::string dump_package(const Package& package);
 
 }  // namespace shale

@@ -6,8 +6,8 @@ namespace shale {
 namespace {
 
 bool is_hazard(const Access& earlier, const Access& later) {
-  return earlier.memory == later.memory && earlier.begin < later.end &&
-         later.begin < earlier.end && (earlier.writes || later.writes);
+  return earlier.memory == later.memory && earlier.begin < later.end && later.begin < earlier.end &&
+         (earlier.writes || later.writes);
 }
 
 }  // namespace

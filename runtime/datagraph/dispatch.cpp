@@ -45,8 +45,7 @@ Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& 
 }
 
 Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetLayout set_layout) {
-  auto info =
-      vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
+  auto info = vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
   info.setLayoutCount = 1;
   info.pSetLayouts = &set_layout;
   return vk::make<vk::PipelineLayoutHandle>(vkCreatePipelineLayout, "vkCreatePipelineLayout",
@@ -55,7 +54,8 @@ Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetL
 
 Result<vk::PipelineHandle> create_pipeline(VkDevice device, const Spirv& words,
                                            VkPipelineLayout layout, VkPipelineCache cache) {
-  auto module_info = vk::init<VkShaderModuleCreateInfo>(VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
+  auto module_info =
+      vk::init<VkShaderModuleCreateInfo>(VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
   module_info.codeSize = words.size() * sizeof(uint32_t);
   module_info.pCode = words.data();
   SHALE_TRY(const auto module,
@@ -101,9 +101,8 @@ Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps) 
   return device_error(caps.name, "runs no variant of the package:{}", reasons);
 }
 
-Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context,
-                                                 const Package& package, Scope scope,
-                                                 VkPipelineCache cache) {
+Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, const Package& package,
+                                                 Scope scope, VkPipelineCache cache) {
   SHALE_TRY_VOID(check_package(package));
   SHALE_TRY(const uint32_t index, choose_variant(package, context.caps));
   const Variant& variant = package.variants[index];
@@ -149,8 +148,7 @@ Result<void> Kernels::create_pipelines(const Variant& variant,
         layout_index.try_emplace(layout_key(*dispatch), layouts_.size());
     if (new_layout) {
       SHALE_TRY(set_layouts_.emplace_back(), create_set_layout(context_.device, layout->first));
-      SHALE_TRY(layouts_.emplace_back(),
-                create_layout(context_.device, set_layouts_.back().get()));
+      SHALE_TRY(layouts_.emplace_back(), create_layout(context_.device, set_layouts_.back().get()));
     }
     const auto [pipeline, new_pipeline] =
         pipeline_index.try_emplace({dispatch->module, layout->second}, wanted.size());
@@ -175,8 +173,8 @@ Result<void> Kernels::create_pipelines(const Variant& variant,
   for (size_t i = 0; i < steps_.size(); ++i) {
     Result<void>& outcome = outcomes[pipeline_of_step[i]];
     if (!outcome) {
-      outcome.error().where = fmt::format("dispatch \"{}\": {}", steps_[i].dispatch->name,
-                                          outcome.error().where);
+      outcome.error().where =
+          fmt::format("dispatch \"{}\": {}", steps_[i].dispatch->name, outcome.error().where);
       return std::move(outcome.error());
     }
     steps_[i].pipeline = pipelines_[pipeline_of_step[i]].get();
@@ -201,8 +199,7 @@ Result<DescriptorSets> DescriptorSets::create(const Kernels& kernels,
   std::map<VkDescriptorType, uint32_t> counts;
   std::vector<VkDescriptorSetLayout> layouts;
   for (const Step* step : steps) {
-    for (const Binding& binding : step->dispatch->bindings)
-      ++counts[descriptor_type(binding.type)];
+    for (const Binding& binding : step->dispatch->bindings) ++counts[descriptor_type(binding.type)];
     layouts.push_back(step->set_layout);
   }
   std::vector<VkDescriptorPoolSize> sizes;
@@ -216,8 +213,7 @@ Result<DescriptorSets> DescriptorSets::create(const Kernels& kernels,
   pool_info.poolSizeCount = static_cast<uint32_t>(sizes.size());
   pool_info.pPoolSizes = sizes.data();
   SHALE_TRY(result.pool_, vk::make<vk::DescriptorPoolHandle>(
-                              vkCreateDescriptorPool, "vkCreateDescriptorPool", device,
-                              pool_info));
+                              vkCreateDescriptorPool, "vkCreateDescriptorPool", device, pool_info));
   auto set_info =
       vk::init<VkDescriptorSetAllocateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO);
   set_info.descriptorPool = result.pool_.get();
@@ -249,9 +245,8 @@ Result<void> DescriptorSets::write(size_t index,
       info.format = vk::vk_format(binding.view_format);
       info.offset = to.offset;
       info.range = resource.size_bytes;
-      SHALE_TRY(views.emplace_back(),
-                vk::make<vk::BufferViewHandle>(vkCreateBufferView, "vkCreateBufferView", device,
-                                               info));
+      SHALE_TRY(views.emplace_back(), vk::make<vk::BufferViewHandle>(
+                                          vkCreateBufferView, "vkCreateBufferView", device, info));
       texels[i] = views.back().get();
     }
     auto write = vk::init<VkWriteDescriptorSet>(VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET);
@@ -275,8 +270,8 @@ void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& step = steps[i];
     if (step.barrier_before)
-      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
-                         VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
+                         VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                          VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
     vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
     vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],

@@ -1,5 +1,6 @@
-// runtime/datagraph/dispatch.h -- what sessions and frame loops share: the compute pipelines of a variant,
-// the descriptor sets of its dispatches, and their recording. Not part of the public interface.
+// runtime/datagraph/dispatch.h -- what sessions and frame loops share: the compute pipelines of a
+// variant, the descriptor sets of its dispatches, and their recording. Not part of the public
+// interface.
 #pragma once
 
 #include <functional>
@@ -41,13 +42,12 @@ enum class Scope { kGraph, kFrame };
 /// One variant of a package on a device. Its address is kept by what is made from it.
 class Kernels {
  public:
-  /// Takes the first variant that the device meets, creates one pipeline per unique module and descriptor
-  /// layout, on all cores, and uploads the weights. `cache` may be VK_NULL_HANDLE.
-  /// Errors: kBadInput (check_package), kDevice (no variant fits, telling why for each; or the device
-  /// refuses).
-  static Result<std::unique_ptr<Kernels>> create(const vk::Context& context,
-                                                 const Package& package, Scope scope,
-                                                 VkPipelineCache cache);
+  /// Takes the first variant that the device meets, creates one pipeline per unique module and
+  /// descriptor layout, on all cores, and uploads the weights. `cache` may be VK_NULL_HANDLE.
+  /// Errors: kBadInput (check_package), kDevice (no variant fits, telling why for each; or the
+  /// device refuses).
+  static Result<std::unique_ptr<Kernels>> create(const vk::Context& context, const Package& package,
+                                                 Scope scope, VkPipelineCache cache);
 
   const vk::Context& context() const { return context_; }
   /// Without the words of its modules.
@@ -73,7 +73,8 @@ class Kernels {
   std::vector<Step> steps_;
 };
 
-/// What a binding leads to: a buffer from `offset` on, or the view of an image in VK_IMAGE_LAYOUT_GENERAL.
+/// What a binding leads to: a buffer from `offset` on, or the view of an image in
+/// VK_IMAGE_LAYOUT_GENERAL.
 struct Target {
   VkBuffer buffer = VK_NULL_HANDLE;
   uint64_t offset = 0;
@@ -86,8 +87,8 @@ class DescriptorSets {
   /// Errors: kDevice.
   static Result<DescriptorSets> create(const Kernels& kernels, std::span<const Step* const> steps);
 
-  /// Points set `index` at what `target` answers for each binding of its dispatch. No pending command
-  /// buffer may use the set. Errors: kDevice.
+  /// Points set `index` at what `target` answers for each binding of its dispatch. No pending
+  /// command buffer may use the set. Errors: kDevice.
   Result<void> write(size_t index, const std::function<Target(const Binding&)>& target);
 
   VkDescriptorSet operator[](size_t index) const { return sets_[index]; }
@@ -96,12 +97,12 @@ class DescriptorSets {
   const Kernels* kernels_ = nullptr;
   vk::DescriptorPoolHandle pool_;
   std::vector<const Step*> steps_;
-  std::vector<VkDescriptorSet> sets_;                         // freed with their pool
+  std::vector<VkDescriptorSet> sets_;                           // freed with their pool
   std::vector<std::vector<vk::BufferViewHandle>> texel_views_;  // by set
 };
 
-/// Records the steps in order, each with its set and the barrier before it; `timestamps` may be null and
-/// otherwise is started and marked after each step.
+/// Records the steps in order, each with its set and the barrier before it; `timestamps` may be
+/// null and otherwise is started and marked after each step.
 void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
                   std::span<const VkDescriptorSet> sets, vk::Timestamps* timestamps);
 

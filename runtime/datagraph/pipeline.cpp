@@ -23,9 +23,8 @@ const Variant& DataGraphPipeline::variant() const { return kernels_->variant(); 
 
 const Segment& DataGraphPipeline::graph() const {
   const std::vector<Segment>& segments = variant().segments;
-  return *std::find_if(segments.begin(), segments.end(), [](const Segment& segment) {
-    return segment.kind == SegmentKind::kGraph;
-  });
+  return *std::find_if(segments.begin(), segments.end(),
+                       [](const Segment& segment) { return segment.kind == SegmentKind::kGraph; });
 }
 
 }  // namespace shale

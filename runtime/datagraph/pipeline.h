@@ -1,8 +1,8 @@
 // runtime/datagraph/pipeline.h -- the network of a package, compiled for a device.
 //
-// The object model is that of VK_ARM_data_graph (section 11 of its reference): a pipeline is made once and
-// shared; a session is one execution context with memory that its user provides; a session is recorded into
-// the user's command buffers. Here everything runs as compute shaders.
+// The object model is that of VK_ARM_data_graph (section 11 of its reference): a pipeline is made
+// once and shared; a session is one execution context with memory that its user provides; a session
+// is recorded into the user's command buffers. Here everything runs as compute shaders.
 #pragma once
 
 #include <vulkan/vulkan.h>
@@ -21,14 +21,14 @@ struct DataGraphPipelineOptions {
   VkPipelineCache cache = VK_NULL_HANDLE;
 };
 
-/// Pipelines and weights of the graph segment of one variant. Must outlive its sessions; its device must
-/// outlive it. May be used from many threads.
+/// Pipelines and weights of the graph segment of one variant. Must outlive its sessions; its device
+/// must outlive it. May be used from many threads.
 class DataGraphPipeline {
  public:
   /// Takes the first variant that the device meets; `package` may go afterwards. Uses the queue of
   /// `device` if the weights need staging.
-  /// Errors: kBadInput if check_package refuses the package; kDevice if the device meets no variant (what
-  /// is missing is told for each), is out of memory, or refuses a shader.
+  /// Errors: kBadInput if check_package refuses the package; kDevice if the device meets no variant
+  /// (what is missing is told for each), is out of memory, or refuses a shader.
   static Result<DataGraphPipeline> create(const vk::Context& device, const Package& package,
                                           const DataGraphPipelineOptions& options = {});
   DataGraphPipeline(DataGraphPipeline&&) noexcept;

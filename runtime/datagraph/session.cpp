@@ -63,9 +63,9 @@ Result<void> Session::bind_memory(VkDeviceMemory memory, uint64_t offset) {
   if (offset % state_->arena_requirements.alignment != 0)
     return bad_input("arena", "offset {} is no multiple of {}", offset,
                      state_->arena_requirements.alignment);
-  SHALE_TRY_VOID(vk::check(vkBindBufferMemory(state_->kernels->context().device,
-                                              state_->arena.get(), memory, offset),
-                           "vkBindBufferMemory"));
+  SHALE_TRY_VOID(vk::check(
+      vkBindBufferMemory(state_->kernels->context().device, state_->arena.get(), memory, offset),
+      "vkBindBufferMemory"));
   state_->arena_bound = true;
   return {};
 }
@@ -73,8 +73,8 @@ Result<void> Session::bind_memory(VkDeviceMemory memory, uint64_t offset) {
 Result<void> Session::allocate_memory() {
   if (!state_->arena) return {};
   if (state_->arena_bound) return bad_input("arena", "has its memory already");
-  SHALE_TRY(state_->own_memory, vk::allocate(state_->kernels->context(),
-                                             state_->arena_requirements, vk::MemoryKind::kDevice));
+  SHALE_TRY(state_->own_memory, vk::allocate(state_->kernels->context(), state_->arena_requirements,
+                                             vk::MemoryKind::kDevice));
   return bind_memory(state_->own_memory.get(), 0);
 }
 

@@ -1,4 +1,4 @@
-// runtime/datagraph/session.h -- one execution context of a pipeline: memory, bound tensors, recording.
+// runtime/datagraph/session.h -- an execution context of a pipeline: memory, tensors, recording.
 #pragma once
 
 #include <vulkan/vulkan.h>
@@ -13,8 +13,8 @@
 
 namespace shale {
 
-/// A tensor inside somebody's buffer. The buffer's usage must have VK_BUFFER_USAGE_STORAGE_BUFFER_BIT
-/// and VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT.
+/// A tensor inside somebody's buffer. The buffer's usage must have
+/// VK_BUFFER_USAGE_STORAGE_BUFFER_BIT and VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT.
 struct TensorView {
   VkBuffer buffer = VK_NULL_HANDLE;
   uint64_t offset = 0;      ///< bytes; a multiple of Session::tensor_alignment()
@@ -23,20 +23,23 @@ struct TensorView {
 
 /// Memory that a session asks of its user.
 struct BindPoint {
-  std::string name;              ///< "arena": the intermediate tensors
-  VkMemoryRequirements memory{}; ///< size and alignment in bytes, allowed memory types
+  std::string name;               ///< "arena": the intermediate tensors
+  VkMemoryRequirements memory{};  ///< size and alignment in bytes, allowed memory types
 };
 
 /// Use: create; bind_memory or allocate_memory; bind_tensor for every input and output; record. The
-/// pipeline must outlive it, and so must the bound memory and buffers outlive the work that uses them.
+/// pipeline must outlive it, and so must the bound memory and buffers outlive the work that uses
+/// them.
 ///
-/// External synchronisation, as with the extension. One thread at a time. Inside of what record adds,
-/// barriers are complete; around it they are the user's:
-///  - before: inputs must be visible to VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT / VK_ACCESS_SHADER_READ_BIT,
-///    and earlier uses of the outputs must have ended before that stage;
-///  - after: outputs are written by VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT / VK_ACCESS_SHADER_WRITE_BIT;
-///  - between two recordings of one session: a memory barrier from that stage and VK_ACCESS_SHADER_WRITE_BIT
-///    to it and VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT, since they share the arena.
+/// External synchronisation, as with the extension. One thread at a time. Inside of what record
+/// adds, barriers are complete; around it they are the user's:
+///  - before: inputs must be visible to VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT /
+///    VK_ACCESS_SHADER_READ_BIT, and earlier uses of the outputs must have ended before that stage;
+///  - after: outputs are written by VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT /
+///    VK_ACCESS_SHADER_WRITE_BIT;
+///  - between two recordings of one session: a memory barrier from that stage and
+///    VK_ACCESS_SHADER_WRITE_BIT to it and VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT,
+///    since they share the arena.
 /// Different sessions need nothing between each other, unless they share memory or tensors.
 class Session {
  public:
@@ -46,13 +49,15 @@ class Session {
   Session& operator=(Session&&) noexcept;
   ~Session();
 
-  /// What must be bound before recording; empty if the graph has no intermediate tensor. The content
-  /// means nothing between dispatches, so sessions that never overlap in time may share the memory.
+  /// What must be bound before recording; empty if the graph has no intermediate tensor. The
+  /// content means nothing between dispatches, so sessions that never overlap in time may share the
+  /// memory.
   std::vector<BindPoint> memory_requirements() const;
 
   /// Gives the arena its memory, once. `memory` stays the caller's.
-  /// Errors: kBadInput if nothing is asked for, if it is bound already, or if the offset is unaligned;
-  /// kDevice. The size and type of `memory` are the caller's care: Vulkan cannot be asked for them.
+  /// Errors: kBadInput if nothing is asked for, if it is bound already, or if the offset is
+  /// unaligned; kDevice. The size and type of `memory` are the caller's care: Vulkan cannot be
+  /// asked for them.
   Result<void> bind_memory(VkDeviceMemory memory, uint64_t offset);
 
   /// Allocates and binds what is asked for; does nothing if there is nothing to bind.
@@ -63,13 +68,13 @@ class Session {
   uint64_t tensor_alignment() const;
 
   /// Names the buffer of an input or output. Binding again is allowed, but ends the use of what was
-  /// recorded before: those command buffers must not be pending and never be submitted again. Ranges
-  /// of different outputs, or of an input and an output, must not overlap.
+  /// recorded before: those command buffers must not be pending and never be submitted again.
+  /// Ranges of different outputs, or of an input and an output, must not overlap.
   /// Errors: kBadInput if no input or output has that name, the range is too small or unaligned.
   Result<void> bind_tensor(std::string_view name, const TensorView& tensor);
 
-  /// Adds the graph to a command buffer that is being recorded, outside of a render pass. Changes its
-  /// bound compute pipeline and set 0. `timestamps` gains an interval for each dispatch of
+  /// Adds the graph to a command buffer that is being recorded, outside of a render pass. Changes
+  /// its bound compute pipeline and set 0. `timestamps` gains an interval for each dispatch of
   /// DataGraphPipeline::graph(); it may be null.
   /// Errors: kBadInput, naming what is not bound yet; kDevice.
   Result<void> record(VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);

@@ -25,7 +25,8 @@ bool changes_by_frame(const Step& step, const Variant& variant) {
   });
 }
 
-/// After how many frames all rings are at the same slots again. Errors: kUnsupported above kMaxPhases.
+/// After how many frames all rings are at the same slots again.
+/// Errors: kUnsupported above kMaxPhases.
 Result<uint32_t> ring_phases(const Variant& variant) {
   uint32_t phases = 1;
   for (const Resource& resource : variant.resources) {
@@ -180,17 +181,12 @@ Target FrameLoop::State::target(const Binding& binding) const {
   const Resource& resource = kernels->variant().resources[binding.resource];
   switch (resource.category) {
     case Category::kInput:
-    case Category::kOutput:
-      return {graph_tensors.get(), offsets[binding.resource], VK_NULL_HANDLE};
-    case Category::kIntermediate:
-      return {arena.get(), offsets[binding.resource], VK_NULL_HANDLE};
-    case Category::kWeights:
-      return {kernels->weights(), offsets[binding.resource], VK_NULL_HANDLE};
+    case Category::kOutput: return {graph_tensors.get(), offsets[binding.resource], VK_NULL_HANDLE};
+    case Category::kIntermediate: return {arena.get(), offsets[binding.resource], VK_NULL_HANDLE};
+    case Category::kWeights: return {kernels->weights(), offsets[binding.resource], VK_NULL_HANDLE};
     case Category::kImageInput:
-    case Category::kImageOutput:
-      return {VK_NULL_HANDLE, 0, host_images[binding.resource].view};
-    case Category::kImageInternal:
-      return {VK_NULL_HANDLE, 0, images[binding.resource][0].view()};
+    case Category::kImageOutput: return {VK_NULL_HANDLE, 0, host_images[binding.resource].view};
+    case Category::kImageInternal: return {VK_NULL_HANDLE, 0, images[binding.resource][0].view()};
     case Category::kImageHistory: {
       // frames_back is below the depth, so the sum never wraps.
       const uint32_t depth = resource.history_depth;

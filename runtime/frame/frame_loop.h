@@ -1,5 +1,5 @@
-// runtime/frame/frame_loop.h -- a network between frame passes: host images in, host images out, with
-// history. What passes and images there are is all read from the package.
+// runtime/frame/frame_loop.h -- a network between frame passes: host images in, host images out,
+// with history. What passes and images there are is all read from the package.
 #pragma once
 
 #include <vulkan/vulkan.h>
@@ -14,8 +14,8 @@
 
 namespace shale {
 
-/// A host's image. The view is two-dimensional, with one level and layer and no swizzle; the image has
-/// VK_IMAGE_USAGE_SAMPLED_BIT and VK_IMAGE_USAGE_STORAGE_BIT as the package binds it.
+/// A host's image. The view is two-dimensional, with one level and layer and no swizzle; the image
+/// has VK_IMAGE_USAGE_SAMPLED_BIT and VK_IMAGE_USAGE_STORAGE_BIT as the package binds it.
 struct ImageView {
   VkImageView view = VK_NULL_HANDLE;
   VkFormat format = VK_FORMAT_UNDEFINED;
@@ -30,41 +30,44 @@ struct FrameLoopOptions {
   VkPipelineCache cache = VK_NULL_HANDLE;
 };
 
-/// Owns the pipelines, weights, intermediate tensors, graph inputs and outputs, internal images and the
-/// rings of history images; the host owns the device, the images it binds, and the command buffers. The
-/// device must outlive the loop, and the loop the work that was recorded.
+/// Owns the pipelines, weights, intermediate tensors, graph inputs and outputs, internal images and
+/// the rings of history images; the host owns the device, the images it binds, and the command
+/// buffers. The device must outlive the loop, and the loop the work that was recorded.
 ///
 /// Rules for the host:
-///  - One thread at a time. Each recorded frame is submitted once, in the order of recording, to one
-///    queue of the context's family.
+///  - One thread at a time. Each recorded frame is submitted once, in the order of recording, to
+///    one queue of the context's family.
 ///  - Bound images are in VK_IMAGE_LAYOUT_GENERAL while a frame runs, and stay in it.
 ///  - Before: input images must be visible to VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT /
-///    VK_ACCESS_SHADER_READ_BIT, and earlier uses of output images must have ended before that stage.
+///    VK_ACCESS_SHADER_READ_BIT, and earlier uses of output images must have ended before that
+///    stage.
 ///  - After: output images are written by VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT /
 ///    VK_ACCESS_SHADER_WRITE_BIT.
 ///  - Barriers within a frame and between the frames of a loop are the loop's.
 ///
-/// History: in frame t a ring of depth n is written at slot t mod n; what a package calls k frames back is
-/// slot (t - k) mod n. A ring starts out as zeros.
+/// History: in frame t a ring of depth n is written at slot t mod n; what a package calls k frames
+/// back is slot (t - k) mod n. A ring starts out as zeros.
 ///
-/// Descriptors: each of frames_in_flight x (least common multiple of the depths) consecutive frames has
-/// descriptor sets of its own, which are written when they are first needed and again only after
-/// bind_image; hence images may be bound between any two frames, and steady frames write none.
+/// Descriptors: each of frames_in_flight x (least common multiple of the depths) consecutive frames
+/// has descriptor sets of its own, which are written when they are first needed and again only
+/// after bind_image; hence images may be bound between any two frames, and steady frames write
+/// none.
 class FrameLoop {
  public:
-  /// Takes the first variant that the device meets; `package` may go afterwards. Uses the context's queue.
-  /// Errors: kBadInput if check_package refuses the package or the options are out of range; kUnsupported
-  /// if the depths of the histories have a common multiple above 64 only; kDevice if the device meets no
-  /// variant (what is missing is told for each), lacks an image format, is out of memory, or refuses
-  /// a shader.
+  /// Takes the first variant that the device meets; `package` may go afterwards. Uses the context's
+  /// queue.
+  /// Errors: kBadInput if check_package refuses the package or the options are out of range;
+  /// kUnsupported if the depths of the histories have a common multiple above 64 only; kDevice if
+  /// the device meets no variant (what is missing is told for each), lacks an image format, is out
+  /// of memory, or refuses a shader.
   static Result<FrameLoop> create(const vk::Context& context, const Package& package,
                                   const FrameLoopOptions& options = {});
   FrameLoop(FrameLoop&&) noexcept;
   FrameLoop& operator=(FrameLoop&&) noexcept;
   ~FrameLoop();
 
-  /// The chosen variant, without the words of its modules. Its resources of category kImageInput and
-  /// kImageOutput are what the host binds.
+  /// The chosen variant, without the words of its modules. Its resources of category kImageInput
+  /// and kImageOutput are what the host binds.
   const Variant& variant() const;
 
   /// Names the image for the frames recorded from now on.
@@ -75,18 +78,19 @@ class FrameLoop {
   /// The next recorded frame finds all histories zero, as after a scene cut.
   void reset_history();
 
-  /// Adds one frame to a command buffer that is being recorded, outside of a render pass, and moves the
-  /// histories on. Changes its bound compute pipeline and set 0. `timestamps` gains an interval for each
-  /// dispatch of all segments; it may be null.
-  /// Errors: kBadInput, naming the image that is not bound yet; kDevice. The frame then does not count.
+  /// Adds one frame to a command buffer that is being recorded, outside of a render pass, and moves
+  /// the histories on. Changes its bound compute pipeline and set 0. `timestamps` gains an interval
+  /// for each dispatch of all segments; it may be null.
+  /// Errors: kBadInput, naming the image that is not bound yet; kDevice. The frame then does not
+  /// count.
   Result<void> record(VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
 
   /// Number of frames recorded so far.
   uint64_t frame() const;
 
-  /// Where a graph input or output lies, for hosts that fill or read one themselves; inputs that no pass
-  /// writes have to be filled. The buffer allows transfers. Its barriers are then the host's, as
-  /// for images.
+  /// Where a graph input or output lies, for hosts that fill or read one themselves; inputs that no
+  /// pass writes have to be filled. The buffer allows transfers. Its barriers are then the host's,
+  /// as for images.
   /// Errors: kBadInput if no graph input or output has that name.
   Result<TensorView> tensor(std::string_view name) const;
 

@@ -11,7 +11,7 @@
 namespace shale {
 
 struct DispatchTime {
-  std::string name;     ///< Dispatch::name: the key to the predicted cost
+  std::string name;  ///< Dispatch::name: the key to the predicted cost
   std::string kernel;
   std::string segment;
   double time_us = 0;
@@ -21,8 +21,8 @@ struct DispatchTime {
 uint32_t interval_count(std::span<const Segment> segments);
 
 /// What `timestamps` measured while `segments` were recorded: all segments of a variant by
-/// FrameLoop::record, the graph by Session::record. Waits for the device. See vk::Timestamps for what the
-/// time of a dispatch means that overlaps others.
+/// FrameLoop::record, the graph by Session::record. Waits for the device. See vk::Timestamps for
+/// what the time of a dispatch means that overlaps others.
 /// Errors: kBadInput if the numbers of intervals and dispatches differ; kDevice.
 Result<std::vector<DispatchTime>> measured_times(const vk::Timestamps& timestamps,
                                                  std::span<const Segment> segments);

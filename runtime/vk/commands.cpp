@@ -14,7 +14,8 @@ Result<void> submit_and_wait(const Context& context,
   SHALE_TRY(const auto fence,
             make<FenceHandle>(vkCreateFence, "vkCreateFence", context.device,
                               init<VkFenceCreateInfo>(VK_STRUCTURE_TYPE_FENCE_CREATE_INFO)));
-  auto buffer_info = init<VkCommandBufferAllocateInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO);
+  auto buffer_info =
+      init<VkCommandBufferAllocateInfo>(VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO);
   buffer_info.commandPool = pool.get();
   buffer_info.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
   buffer_info.commandBufferCount = 1;
@@ -31,8 +32,7 @@ Result<void> submit_and_wait(const Context& context,
   submit.pCommandBuffers = &commands;
   SHALE_TRY_VOID(check(vkQueueSubmit(context.queue, 1, &submit, fence.get()), "vkQueueSubmit"));
   const VkFence handle = fence.get();
-  return check(vkWaitForFences(context.device, 1, &handle, VK_TRUE, UINT64_MAX),
-               "vkWaitForFences");
+  return check(vkWaitForFences(context.device, 1, &handle, VK_TRUE, UINT64_MAX), "vkWaitForFences");
 }
 
 void memory_barrier(VkCommandBuffer commands, VkPipelineStageFlags from, VkAccessFlags written,

@@ -9,10 +9,14 @@ namespace {
 
 /// The feature structs of Vulkan 1.0 to 1.3, chained; never moved.
 struct Features {
-  VkPhysicalDeviceVulkan13Features v13 = init<VkPhysicalDeviceVulkan13Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES);
-  VkPhysicalDeviceVulkan12Features v12 = init<VkPhysicalDeviceVulkan12Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES);
-  VkPhysicalDeviceVulkan11Features v11 = init<VkPhysicalDeviceVulkan11Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_FEATURES);
-  VkPhysicalDeviceFeatures2 v10 = init<VkPhysicalDeviceFeatures2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2);
+  VkPhysicalDeviceVulkan13Features v13 =
+      init<VkPhysicalDeviceVulkan13Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES);
+  VkPhysicalDeviceVulkan12Features v12 =
+      init<VkPhysicalDeviceVulkan12Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES);
+  VkPhysicalDeviceVulkan11Features v11 =
+      init<VkPhysicalDeviceVulkan11Features>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_FEATURES);
+  VkPhysicalDeviceFeatures2 v10 =
+      init<VkPhysicalDeviceFeatures2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2);
 
   Features() {
     v10.pNext = &v11;
@@ -37,8 +41,7 @@ constexpr FeatureMember kFeatureMembers[] = {
     {Feature::kInt16, [](Features& f) -> VkBool32& { return f.v10.features.shaderInt16; }},
     {Feature::kInt64, [](Features& f) -> VkBool32& { return f.v10.features.shaderInt64; }},
     {Feature::kFloat16, [](Features& f) -> VkBool32& { return f.v12.shaderFloat16; }},
-    {Feature::kDotProduct8,
-     [](Features& f) -> VkBool32& { return f.v13.shaderIntegerDotProduct; }},
+    {Feature::kDotProduct8, [](Features& f) -> VkBool32& { return f.v13.shaderIntegerDotProduct; }},
 };
 
 std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {
@@ -52,8 +55,10 @@ std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {
 }  // namespace
 
 DeviceCaps snapshot_caps(VkPhysicalDevice device) {
-  auto v11 = init<VkPhysicalDeviceVulkan11Properties>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES);
-  auto v12 = init<VkPhysicalDeviceVulkan12Properties>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_PROPERTIES);
+  auto v11 = init<VkPhysicalDeviceVulkan11Properties>(
+      VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES);
+  auto v12 = init<VkPhysicalDeviceVulkan12Properties>(
+      VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_PROPERTIES);
   auto v10 = init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
   v10.pNext = &v11;
   v11.pNext = &v12;
@@ -139,14 +144,12 @@ Result<Device> Device::create(VkPhysicalDevice physical_device) {
   info.queueCreateInfoCount = 1;
   info.pQueueCreateInfos = &queue_info;
   VkDevice device = VK_NULL_HANDLE;
-  SHALE_TRY_VOID(check(vkCreateDevice(physical_device, &info, nullptr, &device),
-                       "vkCreateDevice"));
+  SHALE_TRY_VOID(check(vkCreateDevice(physical_device, &info, nullptr, &device), "vkCreateDevice"));
   Device result;
   result.context_.device = device;  // destroyed with `result` from here on
   VkQueue queue = VK_NULL_HANDLE;
   vkGetDeviceQueue(device, *family, 0, &queue);
-  SHALE_TRY(result.context_,
-            wrap_device(physical_device, device, *family, queue, std::move(caps)));
+  SHALE_TRY(result.context_, wrap_device(physical_device, device, *family, queue, std::move(caps)));
   return result;
 }
 

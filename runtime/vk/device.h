@@ -16,18 +16,18 @@ namespace shale::vk {
 /// What a device can do, as plain data. `device` must support Vulkan 1.3.
 DeviceCaps snapshot_caps(VkPhysicalDevice device);
 
-/// The family that computes with least else to do: one without graphics if there is one, else the first
-/// with compute. Nothing if no family computes.
+/// The family that computes with least else to do: one without graphics if there is one, else the
+/// first with compute. Nothing if no family computes.
 std::optional<uint32_t> choose_queue_family(std::span<const VkQueueFamilyProperties> families);
 
-/// A device that somebody else owns; everything in the runtime borrows one, and all that was made from
-/// it must be gone before the device goes. Copies are cheap and mean the same device.
+/// A device that somebody else owns; everything in the runtime borrows one, and all that was made
+/// from it must be gone before the device goes. Copies are cheap and mean the same device.
 struct Context {
   VkPhysicalDevice physical_device = VK_NULL_HANDLE;
   VkDevice device = VK_NULL_HANDLE;
   uint32_t queue_family = 0;
-  /// Used inside create functions only (uploads, first image layouts), each time submitted and waited for.
-  /// The host must not use it from another thread meanwhile.
+  /// Used inside create functions only (uploads, first image layouts), each time submitted and
+  /// waited for. The host must not use it from another thread meanwhile.
   VkQueue queue = VK_NULL_HANDLE;
   DeviceCaps caps;
   VkPhysicalDeviceLimits limits{};
@@ -36,8 +36,8 @@ struct Context {
 };
 
 /// Describes a host's device. `queue_family` must compute. `caps` tells what may be used: what
-/// snapshot_caps found, less the features that the host did not enable on `device`. A variant that needs
-/// more is not chosen. Storage images of other than the basic formats need
+/// snapshot_caps found, less the features that the host did not enable on `device`. A variant that
+/// needs more is not chosen. Storage images of other than the basic formats need
 /// shaderStorageImageExtendedFormats.
 /// Errors: kDevice if the device is below Vulkan 1.3 or the family cannot compute.
 Result<Context> wrap_device(VkPhysicalDevice physical_device, VkDevice device,

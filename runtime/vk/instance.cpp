@@ -79,11 +79,12 @@ Result<Instance> Instance::create(const InstanceOptions& options) {
   auto features = init<VkValidationFeaturesEXT>(VK_STRUCTURE_TYPE_VALIDATION_FEATURES_EXT);
   features.enabledValidationFeatureCount = 1;
   features.pEnabledValidationFeatures = enables;
-  auto messenger = init<VkDebugUtilsMessengerCreateInfoEXT>(VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT);
+  auto messenger = init<VkDebugUtilsMessengerCreateInfoEXT>(
+      VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT);
   messenger.pNext = &features;
   messenger.messageSeverity = VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT |
                               VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
-  // Performance hints are left out: they are against VK_IMAGE_LAYOUT_GENERAL, which is our contract.
+  // No performance hints: they are against VK_IMAGE_LAYOUT_GENERAL, which is our contract.
   messenger.messageType = VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT;
   messenger.pfnUserCallback = on_message;
   messenger.pUserData = result.log_.get();
@@ -130,8 +131,8 @@ Instance::~Instance() {
 
 Result<std::vector<VkPhysicalDevice>> Instance::physical_devices() const {
   uint32_t count = 0;
-  SHALE_TRY_VOID(check(vkEnumeratePhysicalDevices(instance_, &count, nullptr),
-                       "vkEnumeratePhysicalDevices"));
+  SHALE_TRY_VOID(
+      check(vkEnumeratePhysicalDevices(instance_, &count, nullptr), "vkEnumeratePhysicalDevices"));
   std::vector<VkPhysicalDevice> devices(count);
   SHALE_TRY_VOID(check(vkEnumeratePhysicalDevices(instance_, &count, devices.data()),
                        "vkEnumeratePhysicalDevices"));

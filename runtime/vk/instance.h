@@ -32,7 +32,8 @@ struct InstanceOptions {
 
 class Instance {
  public:
-  /// Errors: kDevice if there is no Vulkan 1.3 loader, or no validation layer where one was asked for.
+  /// Errors: kDevice if there is no Vulkan 1.3 loader, or no validation layer where one was asked
+  /// for.
   static Result<Instance> create(const InstanceOptions& options = {});
   Instance(Instance&& other) noexcept;
   Instance& operator=(Instance&& other) noexcept;

@@ -58,8 +58,8 @@ Result<MemoryHandle> allocate(const Context& context, const VkMemoryRequirements
   return make<MemoryHandle>(vkAllocateMemory, "vkAllocateMemory", context.device, info);
 }
 
-Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes,
-                              VkBufferUsageFlags usage, MemoryKind kind) {
+Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes, VkBufferUsageFlags usage,
+                              MemoryKind kind) {
   auto info = init<VkBufferCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO);
   info.size = size_bytes;
   info.usage = usage;
@@ -70,14 +70,13 @@ Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes,
   VkMemoryRequirements requirements;
   vkGetBufferMemoryRequirements(context.device, result.get(), &requirements);
   SHALE_TRY(result.memory_, allocate(context, requirements, kind));
-  SHALE_TRY_VOID(check(
-      vkBindBufferMemory(context.device, result.get(), result.memory_.get(), 0),
-      "vkBindBufferMemory"));
+  SHALE_TRY_VOID(check(vkBindBufferMemory(context.device, result.get(), result.memory_.get(), 0),
+                       "vkBindBufferMemory"));
   if (kind != MemoryKind::kDevice) {
     void* mapped = nullptr;
-    SHALE_TRY_VOID(check(
-        vkMapMemory(context.device, result.memory_.get(), 0, VK_WHOLE_SIZE, 0, &mapped),
-        "vkMapMemory"));
+    SHALE_TRY_VOID(
+        check(vkMapMemory(context.device, result.memory_.get(), 0, VK_WHOLE_SIZE, 0, &mapped),
+              "vkMapMemory"));
     result.mapped_ = static_cast<uint8_t*>(mapped);
   }
   return result;
@@ -101,9 +100,9 @@ Result<Buffer> upload(const Context& context, std::span<const uint8_t> bytes, ui
     }
   }
   SHALE_TRY(Buffer result, Buffer::create(context, size_bytes, usage, MemoryKind::kDevice));
-  SHALE_TRY(const Buffer staging,
-            Buffer::create(context, size_bytes, VK_BUFFER_USAGE_TRANSFER_SRC_BIT,
-                           MemoryKind::kUpload));
+  SHALE_TRY(
+      const Buffer staging,
+      Buffer::create(context, size_bytes, VK_BUFFER_USAGE_TRANSFER_SRC_BIT, MemoryKind::kUpload));
   fill(staging);
   SHALE_TRY_VOID(submit_and_wait(context, [&](VkCommandBuffer commands) {
     const VkBufferCopy region{0, 0, size_bytes};
@@ -114,10 +113,18 @@ Result<Buffer> upload(const Context& context, std::span<const uint8_t> bytes, ui
 
 VkFormat vk_format(ImageFormat format) {
   constexpr std::array<VkFormat, kImageFormatCount> kFormats{
-      VK_FORMAT_UNDEFINED,           VK_FORMAT_R8G8B8A8_UNORM, VK_FORMAT_R16G16B16A16_SFLOAT,
-      VK_FORMAT_R16G16_SFLOAT,       VK_FORMAT_R32_SFLOAT,     VK_FORMAT_R8_UNORM,
-      VK_FORMAT_R32_UINT,            VK_FORMAT_R32G32B32A32_SFLOAT, VK_FORMAT_R16_SFLOAT,
-      VK_FORMAT_R8G8B8A8_SINT,       VK_FORMAT_R8_SINT};
+      VK_FORMAT_UNDEFINED,
+      VK_FORMAT_R8G8B8A8_UNORM,
+      VK_FORMAT_R16G16B16A16_SFLOAT,
+      VK_FORMAT_R16G16_SFLOAT,
+      VK_FORMAT_R32_SFLOAT,
+      VK_FORMAT_R8_UNORM,
+      VK_FORMAT_R32_UINT,
+      VK_FORMAT_R32G32B32A32_SFLOAT,
+      VK_FORMAT_R16_SFLOAT,
+      VK_FORMAT_R8G8B8A8_SINT,
+      VK_FORMAT_R8_SINT,
+  };
   SHALE_CHECK(format != ImageFormat::kNone);
   return kFormats[static_cast<uint32_t>(format)];
 }
@@ -145,14 +152,12 @@ Result<Image> Image::create(const Context& context, ImageFormat format, VkExtent
   info.initialLayout = VK_IMAGE_LAYOUT_UNDEFINED;
   Image result;
   result.extent_ = extent;
-  SHALE_TRY(result.image_,
-            make<ImageHandle>(vkCreateImage, "vkCreateImage", context.device, info));
+  SHALE_TRY(result.image_, make<ImageHandle>(vkCreateImage, "vkCreateImage", context.device, info));
   VkMemoryRequirements requirements;
   vkGetImageMemoryRequirements(context.device, result.get(), &requirements);
   SHALE_TRY(result.memory_, allocate(context, requirements, MemoryKind::kDevice));
-  SHALE_TRY_VOID(check(
-      vkBindImageMemory(context.device, result.get(), result.memory_.get(), 0),
-      "vkBindImageMemory"));
+  SHALE_TRY_VOID(check(vkBindImageMemory(context.device, result.get(), result.memory_.get(), 0),
+                       "vkBindImageMemory"));
   auto view = init<VkImageViewCreateInfo>(VK_STRUCTURE_TYPE_IMAGE_VIEW_CREATE_INFO);
   view.image = result.get();
   view.viewType = VK_IMAGE_VIEW_TYPE_2D;

@@ -11,15 +11,15 @@
 
 namespace shale::vk {
 
-/// The first type among `type_bits` with all `required` properties and the most of the `preferred` ones.
-/// Nothing if no type has the required ones.
+/// The first type among `type_bits` with all `required` properties and the most of the `preferred`
+/// ones. Nothing if no type has the required ones.
 std::optional<uint32_t> choose_memory_type(const VkPhysicalDeviceMemoryProperties& memory,
                                            uint32_t type_bits, VkMemoryPropertyFlags required,
                                            VkMemoryPropertyFlags preferred);
 
 enum class MemoryKind {
-  kDevice,    ///< for the device alone
-  kUpload,    ///< written by the host, read by the device; in the device's own memory where possible
+  kDevice,  ///< for the device alone
+  kUpload,  ///< written by the host, read by the device; in the device's own memory where possible
   kReadback,  ///< written by the device, read by the host; cached where possible
 };
 
@@ -48,8 +48,8 @@ class Buffer {
 };
 
 /// A buffer on the device that holds `bytes`, zeros behind them up to `size_bytes`; `usage` gains
-/// VK_BUFFER_USAGE_TRANSFER_DST_BIT. Goes through a staging buffer and the context's queue where the
-/// host cannot write device memory.
+/// VK_BUFFER_USAGE_TRANSFER_DST_BIT. Goes through a staging buffer and the context's queue where
+/// the host cannot write device memory.
 /// Errors: kDevice.
 Result<Buffer> upload(const Context& context, std::span<const uint8_t> bytes, uint64_t size_bytes,
                       VkBufferUsageFlags usage);

@@ -49,7 +49,8 @@ Result<void> check_vulkan_header(std::span<const uint8_t> data, const CacheIdent
 
 CacheIdentity cache_identity(VkPhysicalDevice device) {
   auto ids = init<VkPhysicalDeviceIDProperties>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES);
-  auto properties = init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
+  auto properties =
+      init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
   properties.pNext = &ids;
   vkGetPhysicalDeviceProperties2(device, &properties);
   CacheIdentity identity;
@@ -63,8 +64,12 @@ CacheIdentity cache_identity(VkPhysicalDevice device) {
 
 std::vector<uint8_t> write_cache_blob(std::span<const uint8_t> data,
                                       const CacheIdentity& identity) {
-  const BlobHeader header{kMagic,      identity.driver_uuid, identity.driver_version,
-                          sizeof(BlobHeader), data.size(),   stable_hash(data)};
+  const BlobHeader header{.magic = kMagic,
+                          .driver_uuid = identity.driver_uuid,
+                          .driver_version = identity.driver_version,
+                          .header_bytes = sizeof(BlobHeader),
+                          .data_bytes = data.size(),
+                          .data_hash = stable_hash(data)};
   std::vector<uint8_t> bytes(sizeof(header) + data.size());
   std::memcpy(bytes.data(), &header, sizeof(header));
   std::copy(data.begin(), data.end(), bytes.begin() + sizeof(header));
@@ -106,9 +111,8 @@ Result<PipelineCache> PipelineCache::load(const Context& context, std::string pa
     info.initialDataSize = data->size();
     info.pInitialData = data->data();
   }
-  SHALE_TRY(result.cache_, make<PipelineCacheHandle>(vkCreatePipelineCache,
-                                                     "vkCreatePipelineCache", context.device,
-                                                     info));
+  SHALE_TRY(result.cache_, make<PipelineCacheHandle>(vkCreatePipelineCache, "vkCreatePipelineCache",
+                                                     context.device, info));
   return result;
 }
 

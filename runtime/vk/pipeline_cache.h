@@ -18,17 +18,16 @@ struct CacheIdentity {
   uint32_t device_id = 0;
   uint32_t driver_version = 0;
   std::array<uint8_t, VK_UUID_SIZE> driver_uuid{};
-  std::array<uint8_t, VK_UUID_SIZE> cache_uuid{};  ///< VkPhysicalDeviceProperties::pipelineCacheUUID
+  std::array<uint8_t, VK_UUID_SIZE> cache_uuid{};  ///< pipelineCacheUUID of the properties
   bool operator==(const CacheIdentity&) const = default;
 };
 CacheIdentity cache_identity(VkPhysicalDevice device);
 
 /// A cache file: our header (magic, driver, length and hash of the data), then Vulkan's cache data.
-std::vector<uint8_t> write_cache_blob(std::span<const uint8_t> data,
-                                      const CacheIdentity& identity);
+std::vector<uint8_t> write_cache_blob(std::span<const uint8_t> data, const CacheIdentity& identity);
 
-/// The cache data inside a file that nobody vouches for, ready for VkPipelineCacheCreateInfo; a part of
-/// `bytes`. Drivers are known to trust their data, hence the hash.
+/// The cache data inside a file that nobody vouches for, ready for VkPipelineCacheCreateInfo; a
+/// part of `bytes`. Drivers are known to trust their data, hence the hash.
 /// Errors: kBadInput if the file is damaged, foreign, or its data have no header for that device.
 Result<std::span<const uint8_t>> read_cache_blob(std::span<const uint8_t> bytes,
                                                  const CacheIdentity& expected);

@@ -9,14 +9,14 @@ Result<Timestamps> Timestamps::create(const Context& context, uint32_t intervals
   Timestamps result;
   result.device_ = context.device;
   result.capacity_ = intervals + 1;
-  result.mask_ = context.timestamp_bits == 64 ? ~uint64_t{0}
-                                              : (uint64_t{1} << context.timestamp_bits) - 1;
+  result.mask_ =
+      context.timestamp_bits == 64 ? ~uint64_t{0} : (uint64_t{1} << context.timestamp_bits) - 1;
   result.period_us_ = static_cast<double>(context.limits.timestampPeriod) * 1e-3;
   auto info = init<VkQueryPoolCreateInfo>(VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO);
   info.queryType = VK_QUERY_TYPE_TIMESTAMP;
   info.queryCount = result.capacity_;
-  SHALE_TRY(result.pool_, make<QueryPoolHandle>(vkCreateQueryPool, "vkCreateQueryPool",
-                                                context.device, info));
+  SHALE_TRY(result.pool_,
+            make<QueryPoolHandle>(vkCreateQueryPool, "vkCreateQueryPool", context.device, info));
   return result;
 }
 
@@ -34,11 +34,11 @@ void Timestamps::mark(VkCommandBuffer commands) {
 Result<std::vector<double>> Timestamps::read_us() const {
   std::vector<uint64_t> ticks(used_);
   if (!ticks.empty())
-    SHALE_TRY_VOID(check(
-        vkGetQueryPoolResults(device_, pool_.get(), 0, used_, ticks.size() * sizeof(uint64_t),
-                              ticks.data(), sizeof(uint64_t),
-                              VK_QUERY_RESULT_64_BIT | VK_QUERY_RESULT_WAIT_BIT),
-        "vkGetQueryPoolResults"));
+    SHALE_TRY_VOID(
+        check(vkGetQueryPoolResults(device_, pool_.get(), 0, used_, ticks.size() * sizeof(uint64_t),
+                                    ticks.data(), sizeof(uint64_t),
+                                    VK_QUERY_RESULT_64_BIT | VK_QUERY_RESULT_WAIT_BIT),
+              "vkGetQueryPoolResults"));
   std::vector<double> times;
   for (size_t i = 1; i < ticks.size(); ++i)
     times.push_back(static_cast<double>((ticks[i] - ticks[i - 1]) & mask_) * period_us_);

@@ -9,8 +9,9 @@
 
 namespace shale::vk {
 
-/// One start and up to `intervals` marks. A mark is taken when all commands recorded before it are done, so
-/// an interval of a command that overlaps its neighbours holds part of theirs; the sum is always right.
+/// One start and up to `intervals` marks. A mark is taken when all commands recorded before it are
+/// done, so an interval of a command that overlaps its neighbours holds part of theirs; the sum is
+/// always right.
 class Timestamps {
  public:
   /// Errors: kUnsupported if the queue family has no timestamps, kDevice.

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <bit>
 #include <random>
 
 #include "tests/support/small_packages.h"
@@ -33,8 +35,7 @@ TEST(PlanBarriers, EachKindOfHazardNeedsOne) {
             (Plan{false, true}));  // WAR
   EXPECT_EQ(plan_barriers(Dispatches{{writes(0, 0, 8)}, {writes(0, 4, 12)}}),
             (Plan{false, true}));  // WAW
-  EXPECT_EQ(plan_barriers(Dispatches{{reads(0, 0, 8)}, {reads(0, 4, 12)}}),
-            (Plan{false, false}));
+  EXPECT_EQ(plan_barriers(Dispatches{{reads(0, 0, 8)}, {reads(0, 4, 12)}}), (Plan{false, false}));
 }
 
 TEST(PlanBarriers, NeighboursAndOtherMemoriesNeedNone) {
@@ -43,10 +44,8 @@ TEST(PlanBarriers, NeighboursAndOtherMemoriesNeedNone) {
 }
 
 TEST(PlanBarriers, OneBarrierServesAllBeforeIt) {
-  EXPECT_EQ(plan_barriers(Dispatches{{writes(0, 0, 8)},
-                                     {writes(0, 8, 16)},
-                                     {reads(0, 0, 8)},
-                                     {reads(0, 8, 16)}}),
+  EXPECT_EQ(plan_barriers(Dispatches{
+                {writes(0, 0, 8)}, {writes(0, 8, 16)}, {reads(0, 0, 8)}, {reads(0, 8, 16)}}),
             (Plan{false, false, true, false}));
 }
 
@@ -109,7 +108,8 @@ TEST(PlanBarriers, SeesTensorsThatShareTheArena) {
   Package package = small_graph();
   Variant& variant = package.variants[0];
   EXPECT_EQ(plan_of(variant), (Plan{false, true, true, true}));
-  // "double" overwrites "a", which "pair" read. Were they apart and "b" not its input, nothing would wait.
+  // "double" overwrites "a", which "pair" read. Were they apart and "b" not its input, nothing
+  // would wait.
   Dispatch& twice = variant.segments[0].dispatches[2];
   twice.bindings[0].resource = twice.bindings[1].resource = 0;
   EXPECT_EQ(plan_of(variant), (Plan{false, true, true, true}));
@@ -126,7 +126,8 @@ TEST(PlanBarriers, SeesImagesTensorsAndNoWeights) {
 TEST(PlanBarriers, TellsTheFramesOfAHistoryApart) {
   Package package = small_frame();
   Variant& variant = package.variants[0];
-  // "post" alone writes this frame's history; "pre" reads earlier ones. Without the other ties between them:
+  // "post" alone writes this frame's history; "pre" reads earlier ones. Without the other ties
+  // between them:
   std::erase_if(variant.segments[2].dispatches[0].bindings,
                 [](const Binding& binding) { return binding.binding < 2; });
   std::erase_if(variant.segments, [](const Segment& s) { return s.kind == SegmentKind::kGraph; });

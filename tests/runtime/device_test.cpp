@@ -63,7 +63,8 @@ TEST_F(Device, UploadIsStagedWhereTheHostCannotWriteDeviceMemory) {
   VkPhysicalDeviceMemoryProperties& memory = discrete.memory;
   memory.memoryTypeCount = 2;
   memory.memoryTypes[1] = memory.memoryTypes[0] = context().memory.memoryTypes[0];
-  memory.memoryTypes[0].propertyFlags &= ~VkMemoryPropertyFlags{VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
+  memory.memoryTypes[0].propertyFlags &=
+      ~VkMemoryPropertyFlags{VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
   memory.memoryTypes[1].propertyFlags = VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT;
   if (!(memory.memoryTypes[0].propertyFlags & VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT) ||
       context().memory.memoryTypeCount != 1)

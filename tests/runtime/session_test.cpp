@@ -1,6 +1,7 @@
 #include "runtime/datagraph/session.h"
 
 #include <cstdio>
+#include <cstring>
 
 #include "runtime/profile/profile.h"
 #include "runtime/vk/pipeline_cache.h"
@@ -57,8 +58,7 @@ TEST_F(SessionTest, RunsTheGraphOfAPackageWithPasses) {
   Session session = must(Session::create(pipeline));
   EXPECT_TRUE(session.memory_requirements().empty());
   must(session.allocate_memory());
-  EXPECT_EQ(error_text(session.bind_memory(VK_NULL_HANDLE, 0)),
-            "arena: the graph needs no memory");
+  EXPECT_EQ(error_text(session.bind_memory(VK_NULL_HANDLE, 0)), "arena: the graph needs no memory");
   const Bound bound = bind(session, std::vector<int8_t>(kSmallBytes, 7));
   run([&](VkCommandBuffer commands) { must(session.record(commands)); });
   const std::vector<int8_t> y = int8_values(bound.y, kSmallBytes);

@@ -101,24 +101,21 @@ Package small_graph() {
   enum : uint32_t { kScale, kPair, kAdd };
   Variant v;
   v.arena_bytes = 2 * kSmallBytes;
-  v.resources = {tensor("x", Category::kInput),
-                 weights(),
-                 tensor("a", Category::kIntermediate, 0),
-                 tensor("b", Category::kIntermediate, kSmallBytes),
-                 tensor("c", Category::kIntermediate, 0),
-                 tensor("y", Category::kOutput)};
+  v.resources = {
+      tensor("x", Category::kInput),           weights(),
+      tensor("a", Category::kIntermediate, 0), tensor("b", Category::kIntermediate, kSmallBytes),
+      tensor("c", Category::kIntermediate, 0), tensor("y", Category::kOutput),
+  };
   v.modules = {words(kScaleWords), words(kPairWords), words(kAddWords)};
   const std::array<uint32_t, 3> per_element{kSmallBytes / 64, 1, 1};
   const std::array<uint32_t, 3> per_texel{kSmallBytes / 256, 1, 1};
-  v.segments = {{"network",
-                 SegmentKind::kGraph,
-                 {{"scale", "scale", kScale, per_element,
-                   {reads(0, kX), reads(1, kW), writes(2, kA)}, {}},
-                  {"pair", "pair", kPair, per_texel, {texels(0, kA), writes(5, kB)}, {}},
-                  {"double", "add", kAdd, per_element,
-                   {reads(0, kB), reads(1, kB), writes(2, kC)}, {}},
-                  {"sum", "add", kAdd, per_element,
-                   {reads(0, kC), reads(1, kX), writes(2, kY)}, {}}}}};
+  v.segments = {
+      {"network",
+       SegmentKind::kGraph,
+       {{"scale", "scale", kScale, per_element, {reads(0, kX), reads(1, kW), writes(2, kA)}, {}},
+        {"pair", "pair", kPair, per_texel, {texels(0, kA), writes(5, kB)}, {}},
+        {"double", "add", kAdd, per_element, {reads(0, kB), reads(1, kB), writes(2, kC)}, {}},
+        {"sum", "add", kAdd, per_element, {reads(0, kC), reads(1, kX), writes(2, kY)}, {}}}}};
   return package_of(std::move(v));
 }
 
@@ -149,17 +146,27 @@ Package small_frame() {
   const std::array<uint32_t, 3> per_pixel{kSmallWidth / 8, kSmallHeight / 8, 1};
   v.segments = {{"pre",
                  SegmentKind::kCompute,
-                 {{"pre", "pre", kPre, per_pixel,
+                 {{"pre",
+                   "pre",
+                   kPre,
+                   per_pixel,
                    {sampled(0, kColor), sampled(1, kHistory, 1), sampled(2, kHistory, 2),
                     stored(3, kBlend, true), writes(4, kX)},
                    {}}}},
                 {"network",
                  SegmentKind::kGraph,
-                 {{"scale", "scale", kScale, {kSmallBytes / 64, 1, 1},
-                   {reads(0, kX), reads(1, kW), writes(2, kY)}, {}}}},
+                 {{"scale",
+                   "scale",
+                   kScale,
+                   {kSmallBytes / 64, 1, 1},
+                   {reads(0, kX), reads(1, kW), writes(2, kY)},
+                   {}}}},
                 {"post",
                  SegmentKind::kCompute,
-                 {{"post", "post", kPost, per_pixel,
+                 {{"post",
+                   "post",
+                   kPost,
+                   per_pixel,
                    {reads(0, kY), stored(1, kBlend, false), stored(2, kHistory, true),
                     stored(3, kShown, true)},
                    {}}}}};
@@ -171,11 +178,9 @@ std::vector<uint8_t> SmallFrameModel::next(const std::vector<uint8_t>& color) {
   std::vector<uint8_t> shown(kSmallBytes);
   for (size_t p = 0; p < kPixels; ++p) {
     int sum = 100;
-    for (size_t k = 0; k < 4; ++k)
-      sum += static_cast<int8_t>(color[4 * p + k] / 4 * kWeights[k]);
+    for (size_t k = 0; k < 4; ++k) sum += static_cast<int8_t>(color[4 * p + k] / 4 * kWeights[k]);
     history[p] = last_[p] + 2 * before_[p] + static_cast<uint32_t>(sum);
-    for (size_t k = 0; k < 4; ++k)
-      shown[4 * p + k] = static_cast<uint8_t>(history[p] >> (8 * k));
+    for (size_t k = 0; k < 4; ++k) shown[4 * p + k] = static_cast<uint8_t>(history[p] >> (8 * k));
   }
   before_ = std::move(last_);
   last_ = std::move(history);

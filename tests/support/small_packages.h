@@ -13,14 +13,14 @@ inline constexpr uint32_t kSmallWidth = 16;
 inline constexpr uint32_t kSmallHeight = 8;
 inline constexpr uint32_t kSmallBytes = kSmallWidth * kSmallHeight * 4;
 
-/// Four dispatches "scale", "pair", "double", "sum" from "x" to "y", with weights, a texel buffer, a shader
-/// used twice, and an arena in which the third result takes the place of the first.
+/// Four dispatches "scale", "pair", "double", "sum" from "x" to "y", with weights, a texel buffer,
+/// a shader used twice, and an arena in which the third result takes the place of the first.
 Package small_graph();
 /// What it computes: y of an x of kSmallBytes.
 std::vector<int8_t> small_graph_result(const std::vector<int8_t>& x);
 
-/// Pre-pass "pre", network "scale", post-pass "post" from image "color" to image "shown" (both rgba8_unorm),
-/// with the internal image "blend" and the history "history" (r32_uint) of depth 3.
+/// Pre-pass "pre", network "scale", post-pass "post" from image "color" to image "shown" (both
+/// rgba8_unorm), with the internal image "blend" and the history "history" (r32_uint) of depth 3.
 Package small_frame();
 
 /// The same frames in plain C++.

@@ -54,9 +54,8 @@ void VulkanTest::run(const std::function<void(VkCommandBuffer)>& record) {
 }
 
 vk::Buffer VulkanTest::buffer_of(std::span<const uint8_t> bytes) {
-  vk::Buffer buffer =
-      must(vk::Buffer::create(context(), padded_bytes(bytes.size()), kTensorBufferUsage,
-                              vk::MemoryKind::kReadback));
+  vk::Buffer buffer = must(vk::Buffer::create(context(), padded_bytes(bytes.size()),
+                                              kTensorBufferUsage, vk::MemoryKind::kReadback));
   std::copy(bytes.begin(), bytes.end(), buffer.mapped().begin());
   return buffer;
 }
@@ -73,9 +72,9 @@ std::vector<int8_t> VulkanTest::int8_values(const vk::Buffer& buffer, size_t cou
 
 vk::Image VulkanTest::image_of(ImageFormat format, VkExtent2D extent,
                                std::span<const uint8_t> texels) {
-  vk::Image image = must(vk::Image::create(context(), format, extent,
-                                           VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT));
-  const vk::Buffer staging = buffer_of(texels.empty() ? std::vector<uint8_t>(4) 
+  vk::Image image = must(vk::Image::create(
+      context(), format, extent, VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT));
+  const vk::Buffer staging = buffer_of(texels.empty() ? std::vector<uint8_t>(4)
                                                       : std::vector(texels.begin(), texels.end()));
   run([&](VkCommandBuffer commands) {
     auto barrier = vk::init<VkImageMemoryBarrier>(VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER);

@@ -1,4 +1,4 @@
-// tests/support/vulkan_fixture.h -- tests on a device, with silent validation as part of every test.
+// tests/support/vulkan_fixture.h -- tests on a device; each demands that validation stays silent.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -32,9 +32,9 @@ std::string error_text(const Result<T>& result) {
   return result ? "no error" : result.error().text();
 }
 
-/// A device per test suite: the first, or the one whose name contains the environment variable SHALE_DEVICE.
-/// Tests are skipped without a device, and not validated without the validation layer. After each test
-/// the core and synchronization validation must not have said anything.
+/// A device per test suite: the first, or the one whose name contains the environment variable
+/// SHALE_DEVICE. Tests are skipped without a device, and not validated without the validation
+/// layer. After each test the core and synchronization validation must not have said anything.
 class VulkanTest : public testing::Test {
  protected:
   static void SetUpTestSuite();

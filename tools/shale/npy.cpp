@@ -82,9 +82,8 @@ Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
 }
 
 Result<void> write_npy(const std::string& path, const Tensor& tensor) {
-  std::string dims;
-  for (const int64_t dim : tensor.type.shape) dims += fmt::format("{},", dim);
-  if (tensor.type.shape.size() > 1) dims.pop_back();
+  std::string dims = fmt::format("{}", fmt::join(tensor.type.shape, ", "));
+  if (tensor.type.shape.size() == 1) dims += ",";
   std::string header = fmt::format("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
                                    descr_of(tensor.type.dtype), dims);
   header.append(63 - (10 + header.size()) % 64, ' ');

@@ -214,11 +214,11 @@ def _random_shape(dice: _Dice):
 
 
 def random_scene(seed: int, width: int = 128, height: int = 128) -> Scene:
-    """A scene of the training distribution; about 14 shapes for every 128x128 pixels."""
+    """A scene of the training distribution; about 40 shapes for every 128x128 pixels."""
     dice = _Dice(seed, width, height)
     background = dice.gradient(dice.size / 2, float(dice.size.max()) / 2)
     area = width * height / (128 * 128)
-    count = max(1, int(round(dice.between(8, 22) * area)))
+    count = max(1, int(round(dice.between(24, 56) * area)))
     return Scene(width, height, background, [_random_shape(dice) for _ in range(count)])
 
 

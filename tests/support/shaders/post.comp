@@ -1,4 +1,4 @@
-// history = blend + 100 + the sum of y's channels; shown = its lowest bytes. One invocation per pixel.
+// history = blend + 100 + the sum of y's channels; shown = its bytes. One invocation per pixel.
 #version 460
 #extension GL_EXT_shader_8bit_storage : require
 #extension GL_EXT_shader_explicit_arithmetic_types_int8 : require

@@ -1,4 +1,5 @@
-// x = the color's bytes / 4; blend = last frame's history + 2 * that before. One invocation per pixel.
+// x = the color's bytes / 4; blend = last frame's history + 2 * that before it.
+// One invocation per pixel.
 #version 460
 #extension GL_EXT_shader_8bit_storage : require
 #extension GL_EXT_shader_explicit_arithmetic_types_int8 : require

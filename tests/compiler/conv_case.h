@@ -1,0 +1,201 @@
+// tests/compiler/conv_case.h -- convolutions with what may be fused around them, written as a row.
+#pragma once
+
+#include <random>
+#include <string>
+#include <vector>
+
+#include "ir/graph/graph.h"
+
+namespace shale {
+
+/// What stands between the graph input and the convolution.
+enum class Source { kPlain, kPad, kConcat, kResize, kPadOfConcatOfResize };
+
+/// What follows the accumulator.
+enum class Epilogue {
+  kNone,        ///< the accumulator is the result
+  kRescale,     ///< one multiplier for all channels
+  kPerChannel,  ///< a multiplier a channel, then a clamp
+  kTable,       ///< per channel, then a clamp and a table
+  kResidual,    ///< rescaled to int32, added to a second graph input, rescaled to int8
+  kInt16,       ///< rescaled to int16
+};
+
+/// One conv2d over int8 in NHWC; extents are those of the convolution's input.
+struct ConvCase {
+  std::string name;
+  int64_t n = 1, h = 5, w = 7, ic = 4, oc = 8;
+  int64_t kh = 3, kw = 3;
+  int64_t stride_y = 1, stride_x = 1;
+  int64_t dilation_y = 1, dilation_x = 1;
+  std::vector<int64_t> pad{1, 1, 1, 1};
+  int64_t input_zp = 0, weight_zp = 0;
+  Source source = Source::kPlain;
+  Epilogue epilogue = Epilogue::kPerChannel;
+  bool one_bias = false;
+  int64_t weight_limit = 127;  ///< weights are drawn from -weight_limit - 1 to weight_limit
+
+  friend void PrintTo(const ConvCase& c, std::ostream* out) { *out << c.name; }
+
+  Graph graph() const {
+    Graph g;
+    std::mt19937_64 random(static_cast<uint64_t>(((h * 31 + w) * 31 + ic) * 31 + oc));
+    const auto draw = [&](int64_t min, int64_t max) {
+      return min + static_cast<int64_t>(random() % static_cast<uint64_t>(max - min + 1));
+    };
+    const auto tensor = [&](DType dtype, Shape shape, int64_t min, int64_t max) {
+      Tensor t = Tensor::zeros({dtype, std::move(shape)});
+      for (int64_t i = 0; i < t.count(); ++i) t.set(i, draw(min, max));
+      return t;
+    };
+    const auto scalar = [&](const char* label, DType dtype, int64_t value) {
+      return g.add_constant(label, Tensor::from_ints({dtype, {1}}, std::vector<int64_t>{value}));
+    };
+    const ValueId x = conv_input(g);
+    const ValueId weight = g.add_constant("w", tensor(DType::kInt8, {oc, kh, kw, ic}, -weight_limit - 1, weight_limit));
+    const ValueId bias = g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -20000, 20000));
+    const ValueId zp = scalar("zp", DType::kInt8, input_zp), wzp = scalar("wzp", DType::kInt8, weight_zp);
+    Attrs attrs;
+    attrs.set(Attr::kPad, pad).set(Attr::kStride, std::vector<int64_t>{stride_y, stride_x});
+    attrs.set(Attr::kDilation, std::vector<int64_t>{dilation_y, dilation_x});
+    attrs.set(Attr::kLocalBound, 0).set(Attr::kAccType, static_cast<int64_t>(DType::kInt32));
+    const int64_t oh = (h - 1 + pad[0] + pad[1] - (kh - 1) * dilation_y) / stride_y + 1;
+    const int64_t ow = (w - 1 + pad[2] + pad[3] - (kw - 1) * dilation_x) / stride_x + 1;
+    const Shape out{n, oh, ow, oc};
+    ValueId last = g.add_node(Op::kConv2d, attrs, {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
+
+    const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift, int64_t high_shift, int64_t out_zp) {
+      const int64_t channels = per_channel ? oc : 1;
+      const ValueId m = g.add_constant("m", tensor(DType::kInt32, {channels}, 1 << 30, INT32_MAX));
+      const ValueId s = g.add_constant("s", tensor(DType::kInt8, {channels}, low_shift, high_shift));
+      const DType in = g.value(from).type.dtype;
+      const ValueId in_zero = scalar("z", in, 0), out_zero = scalar("oz", to, out_zp);
+      Attrs a;
+      a.set(Attr::kScale32, 1).set(Attr::kRoundingMode, kSingleRound).set(Attr::kPerChannel, per_channel);
+      a.set(Attr::kInputUnsigned, 0).set(Attr::kOutputUnsigned, 0);
+      return g.add_node(Op::kRescale, a, {from, m, s, in_zero, out_zero}, "q", {to, out});
+    };
+    const auto clamp = [&](ValueId from, int64_t low, int64_t high) {
+      Attrs a;
+      a.set(Attr::kMinVal, low).set(Attr::kMaxVal, high).set(Attr::kNanMode, 1);
+      return g.add_node(Op::kClamp, a, {from}, "clamped", g.value(from).type);
+    };
+    switch (epilogue) {
+      case Epilogue::kNone: break;
+      case Epilogue::kRescale: last = rescale(last, DType::kInt8, false, 38, 42, -7); break;
+      case Epilogue::kPerChannel: last = clamp(rescale(last, DType::kInt8, true, 36, 42, -128), -120, 100); break;
+      case Epilogue::kTable: {
+        last = clamp(rescale(last, DType::kInt8, true, 36, 42, 3), -100, 127);
+        const ValueId table = g.add_constant("table", tensor(DType::kInt8, {256}, -128, 127));
+        last = g.add_node(Op::kTable, {}, {last, table}, "looked_up", {DType::kInt8, out});
+        break;
+      }
+      case Epilogue::kResidual: {
+        last = rescale(last, DType::kInt32, true, 34, 36, 0);
+        const ValueId other = rescale(g.add_input("skip", {DType::kInt8, out}), DType::kInt32, false, 24, 24, 0);
+        last = g.add_node(Op::kAdd, {}, {last, other}, "sum", {DType::kInt32, out});
+        last = clamp(rescale(last, DType::kInt8, false, 38, 38, 1), -128, 90);
+        break;
+      }
+      case Epilogue::kInt16: last = rescale(last, DType::kInt16, true, 33, 36, 0); break;
+    }
+    g.outputs = {last};
+    return g;
+  }
+
+ private:
+  ValueId conv_input(Graph& g) const {
+    const auto pad_node = [&](ValueId from) {
+      Shape shape = g.value(from).type.shape;
+      shape[1] += 3;
+      shape[2] += 1;
+      const ValueId padding = g.add_shape("padding", {0, 0, 1, 2, 1, 0, 0, 0});
+      const ValueId value = g.add_constant("pad_value", Tensor::from_ints({DType::kInt8, {1}}, std::vector<int64_t>{-77}));
+      return g.add_node(Op::kPad, {}, {from, padding, value}, "padded", {DType::kInt8, shape});
+    };
+    const auto resize_node = [&](ValueId from) {
+      Shape shape = g.value(from).type.shape;
+      shape[1] *= 2;
+      shape[2] *= 3;
+      const ValueId scale = g.add_shape("scale", {2, 1, 3, 1}), offset = g.add_shape("offset", {0, 0});
+      const ValueId border = g.add_shape("border", {1, 2});
+      return g.add_node(Op::kResize, Attrs().set(Attr::kMode, kNearest), {from, scale, offset, border}, "resized",
+                        {DType::kInt8, shape});
+    };
+    const auto concat_node = [&](const std::vector<ValueId>& parts) {
+      Shape shape = g.value(parts[0]).type.shape;
+      shape[3] = 0;
+      for (const ValueId part : parts) shape[3] += g.value(part).type.shape[3];
+      return g.add_node(Op::kConcat, Attrs().set(Attr::kAxis, 3), parts, "joined", {DType::kInt8, shape});
+    };
+    const auto input = [&](const char* label, int64_t height, int64_t width, int64_t channels) {
+      return g.add_input(label, {DType::kInt8, {n, height, width, channels}});
+    };
+    switch (source) {
+      case Source::kPlain: return input("x", h, w, ic);
+      case Source::kPad: return pad_node(input("x", h - 3, w - 1, ic));
+      case Source::kConcat: return concat_node({input("x", h, w, ic / 2), input("x2", h, w, ic - ic / 2)});
+      case Source::kResize: return resize_node(input("x", h / 2, w / 3, ic));
+      case Source::kPadOfConcatOfResize: {
+        const ValueId small = resize_node(input("x", (h - 3) / 2, (w - 1) / 3, ic / 2));
+        return pad_node(concat_node({small, input("x2", h - 3, w - 1, ic - ic / 2)}));
+      }
+    }
+    return {};
+  }
+};
+
+/// Convolutions at the edges of what the kernels distinguish.
+inline std::vector<ConvCase> edge_conv_cases() {
+  std::vector<ConvCase> cases;
+  for (const int64_t ic : {1, 3, 4, 5, 8}) cases.push_back({.name = "ic" + std::to_string(ic), .ic = ic});
+  for (const int64_t oc : {1, 2, 5, 16, 17, 40}) cases.push_back({.name = "oc" + std::to_string(oc), .oc = oc});
+  for (const int64_t zp : {-128, 0, 127}) {
+    cases.push_back({.name = "zp" + std::to_string(zp), .input_zp = zp});
+    cases.push_back({.name = "zp" + std::to_string(zp) + "_not_padded", .pad = {0, 0, 0, 0}, .input_zp = zp});
+    cases.push_back({.name = "zp_of_weights" + std::to_string(zp), .input_zp = 9, .weight_zp = zp, .weight_limit = 100});
+  }
+  cases.push_back({.name = "one_by_one", .kh = 1, .kw = 1, .pad = {0, 0, 0, 0}});
+  cases.push_back({.name = "one_pixel", .h = 1, .w = 1, .ic = 1, .oc = 1, .kh = 1, .kw = 1, .pad = {0, 0, 0, 0}});
+  cases.push_back({.name = "one_pixel_padded", .h = 1, .w = 1, .pad = {1, 1, 1, 1}, .input_zp = 5});
+  cases.push_back({.name = "one_row", .h = 1, .w = 130, .kh = 1, .kw = 5, .pad = {0, 0, 2, 2}});
+  cases.push_back({.name = "one_column", .h = 70, .w = 1, .kh = 5, .kw = 1, .pad = {2, 2, 0, 0}});
+  cases.push_back({.name = "width_of_a_workgroup", .h = 2, .w = 64});
+  cases.push_back({.name = "width_past_a_workgroup", .h = 2, .w = 65});
+  cases.push_back({.name = "whole_image", .h = 5, .w = 7, .kh = 5, .kw = 7, .pad = {0, 0, 0, 0}});
+  cases.push_back({.name = "kernel_in_the_padding", .h = 2, .w = 2, .kh = 3, .kw = 3, .pad = {4, 3, 5, 4}, .input_zp = -3});
+  cases.push_back({.name = "stride2", .h = 6, .w = 8, .stride_y = 2, .stride_x = 2, .pad = {0, 1, 1, 0}});
+  cases.push_back({.name = "stride_y3_x1", .h = 10, .w = 5, .stride_y = 3, .pad = {1, 1, 1, 1}});
+  cases.push_back({.name = "stride_past_the_kernel", .h = 9, .w = 9, .kh = 1, .kw = 1, .stride_y = 4, .stride_x = 8, .pad = {0, 0, 0, 0}});
+  cases.push_back({.name = "dilation", .h = 9, .w = 9, .dilation_y = 2, .dilation_x = 3, .pad = {2, 2, 3, 3}});
+  cases.push_back({.name = "dilation_and_stride", .h = 9, .w = 8, .stride_y = 2, .dilation_y = 3, .dilation_x = 2, .pad = {0, 1, 0, 1}, .input_zp = 4});
+  cases.push_back({.name = "asymmetric_pads", .pad = {0, 2, 3, 1}, .input_zp = -100});
+  cases.push_back({.name = "even_kernel", .kh = 2, .kw = 4, .pad = {1, 0, 2, 1}});
+  cases.push_back({.name = "batch2", .n = 2});
+  cases.push_back({.name = "batch3_ic3", .n = 3, .ic = 3, .oc = 5});
+  cases.push_back({.name = "one_bias", .one_bias = true});
+  cases.push_back({.name = "accumulator_out", .epilogue = Epilogue::kNone});
+  cases.push_back({.name = "accumulator_out_oc5", .oc = 5, .epilogue = Epilogue::kNone});
+  cases.push_back({.name = "one_multiplier", .epilogue = Epilogue::kRescale});
+  cases.push_back({.name = "table", .epilogue = Epilogue::kTable});
+  cases.push_back({.name = "table_oc17", .oc = 17, .epilogue = Epilogue::kTable});
+  cases.push_back({.name = "residual", .epilogue = Epilogue::kResidual});
+  cases.push_back({.name = "residual_oc5", .oc = 5, .epilogue = Epilogue::kResidual});
+  cases.push_back({.name = "int16_out", .epilogue = Epilogue::kInt16});
+  cases.push_back({.name = "pad_folded", .h = 8, .input_zp = -77, .source = Source::kPad});
+  cases.push_back({.name = "pad_folded_other_value", .h = 8, .input_zp = 30, .source = Source::kPad});
+  cases.push_back({.name = "concat_folded", .ic = 8, .source = Source::kConcat});
+  cases.push_back({.name = "concat_folded_odd", .ic = 7, .source = Source::kConcat});
+  cases.push_back({.name = "resize_folded", .h = 6, .w = 9, .input_zp = 2, .source = Source::kResize});
+  cases.push_back({.name = "resize_folded_ic3", .h = 6, .w = 9, .ic = 3, .source = Source::kResize});
+  cases.push_back({.name = "pad_of_concat_of_resize", .n = 2, .h = 7, .w = 10, .ic = 8, .input_zp = -128, .source = Source::kPadOfConcatOfResize});
+  cases.push_back({.name = "pad_of_concat_of_resize_odd", .h = 7, .w = 10, .ic = 5, .oc = 17, .source = Source::kPadOfConcatOfResize, .epilogue = Epilogue::kTable});
+  // More output channels than a module holds.
+  cases.push_back({.name = "several_modules", .h = 3, .w = 3, .ic = 64, .oc = 40, .weight_limit = 100});
+  // 9 * 256 products of int8 leave the integers that float32 holds.
+  cases.push_back({.name = "beyond_float", .h = 3, .w = 3, .ic = 256, .oc = 4, .epilogue = Epilogue::kNone});
+  return cases;
+}
+
+}  // namespace shale

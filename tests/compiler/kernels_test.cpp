@@ -1,0 +1,86 @@
+// Every row of kernels.def on every edge shape, on the device and bit for bit against the interpreter.
+#include <gtest/gtest.h>
+
+#include "compiler/driver/compile.h"
+#include "tests/compiler/conv_case.h"
+#include "tests/compiler/graph_support.h"
+#include "tools/shale/device_run.h"
+
+namespace shale {
+namespace {
+
+/// A device for all tests, under the validation layer where there is one.
+class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCase>> {
+ protected:
+  static void SetUpTestSuite() {
+    Result<ToolDevice> device = ToolDevice::open({.name = {}, .cache = {}, .validation = true});
+    if (!device) {
+      std::printf("not validated: %s\n", device.error().text().c_str());
+      device = ToolDevice::open({});
+    }
+    if (device) device_ = std::make_unique<ToolDevice>(*std::move(device));
+    else std::printf("%s\n", device.error().text().c_str());
+  }
+  static void TearDownTestSuite() { device_.reset(); }
+
+  void SetUp() override {
+    if (!device_) GTEST_SKIP() << "no Vulkan device";
+  }
+  void TearDown() override {
+    if (!device_) return;
+    for (const std::string& message : device_->take_validation_messages()) ADD_FAILURE() << message;
+  }
+
+  /// Compiles for the kernel alone and compares with the interpreter; returns the kernels that were taken.
+  static std::vector<std::string> expect_exact(const Graph& graph, const std::string& kernel, bool optimize) {
+    CompileOptions options;
+    options.kernels = {kernel};
+    options.optimize_spirv = false;
+    options.pass_options.optimize = optimize;
+    const Compiled compiled = must(compile_graph(graph, 0, options));
+    std::vector<std::string> taken;
+    for (const Dispatch& dispatch : compiled.package.variants[0].segments[0].dispatches) taken.push_back(dispatch.kernel);
+    for (uint64_t seed = 1; seed <= 2; ++seed) {
+      std::vector<Tensor> inputs = random_inputs(graph, seed);
+      // The second time the inputs are at the lower limit: the largest magnitudes.
+      if (seed == 2)
+        for (Tensor& input : inputs)
+          for (int64_t i = 0; i < input.count(); ++i) input.set(i, dtype_range(input.type.dtype).min);
+      const std::vector<Tensor> expected = must(interpret(graph, inputs));
+      const std::vector<Tensor> found = must(run_network(*device_, compiled.package, inputs));
+      for (size_t i = 0; i < expected.size(); ++i)
+        if (const auto difference = first_difference(found[i], expected[i]))
+          ADD_FAILURE() << kernel << (optimize ? "" : " without passes") << ", inputs " << seed << ", output " << i << ": "
+                        << *difference << "\n" << print_text(compiled.graph);
+    }
+    return taken;
+  }
+
+  inline static std::unique_ptr<ToolDevice> device_;
+};
+
+TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
+  const auto& [kernel, row] = GetParam();
+  const Graph graph = row.graph();
+  ASSERT_TRUE(verify(graph)) << error_text(verify(graph)) << "\n" << print_text(graph);
+  const std::vector<std::string> taken = expect_exact(graph, kernel, true);
+  // Each family takes each row, but for the one that is there to be refused by the float kernel.
+  const bool refused = kernel == "conv2d_s8_f32exact" && row.name == "beyond_float";
+  EXPECT_EQ(std::find(taken.begin(), taken.end(), kernel) == taken.end(), refused);
+  expect_exact(graph, kernel, false);
+}
+
+std::vector<std::string> kernel_names() {
+  std::vector<std::string> names;
+  for (const KernelFamily& family : all_kernels()) names.emplace_back(family.name);
+  return names;
+}
+
+INSTANTIATE_TEST_SUITE_P(Kernels, EveryKernel,
+                         testing::Combine(testing::ValuesIn(kernel_names()), testing::ValuesIn(edge_conv_cases())),
+                         [](const testing::TestParamInfo<EveryKernel::ParamType>& test) {
+                           return replaced(std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-", "minus");
+                         });
+
+}  // namespace
+}  // namespace shale

@@ -1,0 +1,112 @@
+// Which kernel a group gets: by name, without a device.
+#include <gtest/gtest.h>
+
+#include "compiler/cost/cost.h"
+#include "compiler/kernels/kernel.h"
+#include "compiler/passes/pass.h"
+#include "tests/compiler/conv_case.h"
+#include "tests/compiler/graph_support.h"
+
+namespace shale {
+namespace {
+
+/// The kernel of the group that holds the convolution, after the passes.
+std::string selected(Graph graph, std::string_view target = "lavapipe", std::vector<std::string> allowed = {}) {
+  must(run_pipeline(graph, {}, {}));
+  for (Group& group : collect_groups(graph)) {
+    if (!group.head) continue;
+    GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
+    problem.proof = prove_ranges(graph, problem.group);
+    problem.cost = group_cost(graph, problem.group);
+    return std::string(select_kernel(problem, *find_profile(target), allowed).name);
+  }
+  return "no head";
+}
+
+TEST(Select, TakesFloatForProvenConvolutionsOnLavapipe) {
+  for (const ConvCase& row : edge_conv_cases())
+    EXPECT_EQ(selected(row.graph()), row.name == "beyond_float" ? "conv2d_s8_i32" : "conv2d_s8_f32exact") << row.name;
+}
+
+TEST(Select, KeepsWeightsInBuffersOnGpus) {
+  for (const ConvCase& row : edge_conv_cases()) EXPECT_EQ(selected(row.graph(), "generic-gpu"), "generic") << row.name;
+}
+
+TEST(Select, ObeysTheListOfAllowedFamilies) {
+  const Graph graph = ConvCase{.name = "plain"}.graph();
+  EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32"}), "conv2d_s8_i32");
+  EXPECT_EQ(selected(graph, "lavapipe", {"generic"}), "generic");
+  EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32", "conv2d_s8_f32exact"}), "conv2d_s8_f32exact");
+  // The generic kernel serves where no allowed family can.
+  EXPECT_EQ(selected(graph, "generic-gpu", {"conv2d_s8_i32"}), "generic");
+}
+
+TEST(Select, LeavesOtherHeadsToTheGenericKernel) {
+  const char* const rows[] = {
+      "const %w : i8[1,1,2,2] = [1,2,3,4]\n const %b : i32[4] = [0,0,0,0]\n"
+      "%y = depthwise_conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,4]",
+      "const %w : i8[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n"
+      "%y = transpose_conv2d %x, %w, %b, %zp, %zp {out_pad=[0,0,0,0], stride=[1,1], acc_type=i32} : i32[1,4,4,1]",
+      "%y = max_pool2d %x {kernel=[2,2], stride=[1,1], pad=[0,0,0,0]} : i8[1,3,3,2]",
+      "%y = reduce_max %x {axis=1} : i8[1,1,4,2]",
+  };
+  for (const char* row : rows)
+    EXPECT_EQ(selected(graph_of(std::string("graph main {\n input %x : i8[1,4,4,2]\n const %zp : i8[1] = [0]\n") + row +
+                                "\n return %y\n}")),
+              "generic")
+        << row;
+}
+
+TEST(Select, LeavesConvolutionsWithoutConstantInt8WeightsToTheGenericKernel) {
+  const char* const rows[] = {
+      "input %x : i8[1,4,4,2]\n input %w : i8[1,1,1,2]\n const %b : i32[1] = [0]\n const %wzp : i8[1] = [0]",
+      "input %x : i8[1,4,4,2]\n const %w : i8[1,1,1,2] = [1,2]\n input %b : i32[1]\n const %wzp : i8[1] = [0]",
+      "input %x : i8[1,4,4,2]\n const %w : i4[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n const %wzp : i4[1] = [0]",
+  };
+  for (const char* row : rows)
+    EXPECT_EQ(selected(graph_of(std::string("graph main {\n const %zp : i8[1] = [0]\n ") + row +
+                                "\n %y = conv2d %x, %w, %b, %zp, %wzp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}"
+                                " : i32[1,4,4,1]\n return %y\n}")),
+              "generic")
+        << row;
+}
+
+TEST(Select, LeavesOtherPadsToTheGenericKernel) {
+  // A pad of the channels has no place in four-channel fetches.
+  EXPECT_EQ(selected(graph_of(R"(graph main {
+  input %x : i8[1,4,4,2]
+  const %zp : i8[1] = [0]
+  const %w : i8[1,1,1,4] = [1,2,3,4]
+  const %b : i32[1] = [0]
+  const %p : shape[8] = [0,0,0,0,0,0,1,1]
+  %v = pad %x, %p, %zp : i8[1,4,4,4]
+  %y = conv2d %v, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,1]
+  return %y
+})")),
+            "generic");
+}
+
+/// A 1x1 convolution of [n,h,w,1]; nothing of that size is allocated.
+std::string kernel_for_shape(int64_t n, int64_t h, int64_t w) {
+  return selected(graph_of(fmt::format(R"(graph main {{
+  input %x : i8[{0},{1},{2},1]
+  const %zp : i8[1] = [0]
+  const %w : i8[1,1,1,1] = [1]
+  const %b : i32[1] = [0]
+  %y = conv2d %x, %w, %b, %zp, %zp {{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}} : i32[{0},{1},{2},1]
+  return %y
+}})", n, h, w)));
+}
+
+TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {
+  EXPECT_EQ(kernel_for_shape(1, 65535, 4), "conv2d_s8_f32exact");
+  EXPECT_EQ(kernel_for_shape(1, 65536, 4), "generic");  // rows are workgroups
+  EXPECT_EQ(kernel_for_shape(65536, 1, 4), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64), "conv2d_s8_f32exact");
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64 + 1), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16384), "conv2d_s8_f32exact");  // 2^27 texels
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16385), "generic");
+}
+
+}  // namespace
+}  // namespace shale

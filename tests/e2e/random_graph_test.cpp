@@ -1,0 +1,152 @@
+// Differential test over random graphs: for each, the interpreter on the raw graph, the interpreter after the
+// pass pipeline, and the device with passes must agree bit for bit; so must the device with the same nodes
+// unfused, and for every fourth graph the device without passes.
+//
+// A graph's seed is its number: `random_graph_test --seed 1234 --count 1` repeats one that failed.
+#include <fmt/format.h>
+
+#include <memory>
+
+#include "compiler/driver/compile.h"
+#include "ir/reference/interpreter.h"
+#include "ir/text/text.h"
+#include "ir/verify/verify.h"
+#include "tests/e2e/random_graph.h"
+#include "tools/shale/device_run.h"
+
+namespace shale {
+namespace {
+
+constexpr int kNoDevice = 77;  // the exit code that CTest counts as skipped
+
+struct Arguments {
+  uint64_t seed = 1;
+  uint64_t count = 1000;
+  uint64_t validated = 0;
+};
+
+/// What did not hold, or nothing.
+using Failure = std::optional<std::string>;
+
+Failure compare(const char* what, const Result<std::vector<Tensor>>& found, const std::vector<Tensor>& expected) {
+  if (!found) return fmt::format("{}: {}", what, found.error().text());
+  if (found->size() != expected.size())
+    return fmt::format("{}: {} outputs, expected {}", what, found->size(), expected.size());
+  for (size_t i = 0; i < expected.size(); ++i)
+    if (const auto difference = first_difference((*found)[i], expected[i]))
+      return fmt::format("{}: output {}: {}", what, i, *difference);
+  return std::nullopt;
+}
+
+CompileOptions options(bool optimize) {
+  CompileOptions result;
+  result.pass_options.optimize = optimize;
+  result.pass_options.verify_each = true;
+  result.optimize_spirv = false;  // spirv-opt would take most of the time
+  return result;
+}
+
+class Checker {
+ public:
+  explicit Checker(const ToolDevice& device) : device_(device) {}
+
+  Failure check(const RandomGraph& random, bool without_passes) {
+    if (const auto verified = verify(random.graph); !verified) return "the raw graph: " + verified.error().text();
+    const Result<std::vector<Tensor>> raw = interpret(random.graph, random.inputs);
+    if (!raw) return "the interpreter: " + raw.error().text();
+    const std::vector<Tensor>& expected = *raw;
+
+    const Result<Compiled> compiled = compile_graph(random.graph, 0, options(true));
+    if (!compiled) return "compiling with passes: " + compiled.error().text();
+    if (const auto failure = compare("the interpreter after the passes", interpret(compiled->graph, random.inputs), expected))
+      return failure;
+    if (const auto failure = run("the device with passes", *compiled, random, expected)) return failure;
+
+    Graph unfused = compiled->graph;
+    bool was_fused = false;
+    for (Node& node : unfused.nodes) was_fused = was_fused || node.group != 0, node.group = 0;
+    if (was_fused) {
+      ++fused;
+      const Result<Compiled> plain = compile_graph(std::move(unfused), 0, options(false));
+      if (!plain) return "compiling unfused: " + plain.error().text();
+      if (const auto failure = run("the device unfused", *plain, random, expected)) return failure;
+    }
+    if (!without_passes) return std::nullopt;
+    const Result<Compiled> plain = compile_graph(random.graph, 0, options(false));
+    if (!plain) return "compiling without passes: " + plain.error().text();
+    return run("the device without passes", *plain, random, expected);
+  }
+
+  uint64_t fused = 0;
+  std::map<std::string, uint64_t> kernels;  ///< dispatches of each family
+
+ private:
+  Failure run(const char* what, const Compiled& compiled, const RandomGraph& random, const std::vector<Tensor>& expected) {
+    // What the runtime gets is what a file holds.
+    const Result<Package> package = read_package(write_package(compiled.package));
+    if (!package) return fmt::format("{}: its package is refused: {}", what, package.error().text());
+    for (const Dispatch& dispatch : package->variants[0].segments[0].dispatches) ++kernels[dispatch.kernel];
+    return compare(what, run_network(device_, *package, random.inputs), expected);
+  }
+
+  const ToolDevice& device_;
+};
+
+int run(const Arguments& arguments) {
+  fmt::print("graphs {} to {}, the first {} under validation\n", arguments.seed, arguments.seed + arguments.count - 1,
+             arguments.validated);
+  RandomGraphCounts counts;
+  std::map<std::string, uint64_t> kernels;
+  uint64_t failures = 0, fused = 0;
+  std::unique_ptr<ToolDevice> device;
+  for (uint64_t i = 0; i < arguments.count; ++i) {
+    const bool validated = i < arguments.validated;
+    if (i == 0 || i == arguments.validated) {
+      Result<ToolDevice> opened = ToolDevice::open({.name = {}, .cache = {}, .validation = validated});
+      if (!opened) {
+        fmt::print("skipped: {}\n", opened.error().text());
+        return opened.error().code == ErrorCode::kDevice ? kNoDevice : 1;
+      }
+      device = std::make_unique<ToolDevice>(*std::move(opened));
+    }
+    const uint64_t seed = arguments.seed + i;
+    const RandomGraph random = random_graph(seed, counts);
+    Checker checker(*device);
+    Failure failure = checker.check(random, seed % 4 == 0);
+    const std::vector<std::string> messages = device->take_validation_messages();
+    if (!failure && !messages.empty()) failure = "validation: " + messages.front();
+    fused += checker.fused;
+    for (const auto& [name, count] : checker.kernels) kernels[name] += count;
+    if (!failure) continue;
+    ++failures;
+    fmt::print("FAILED: graph of seed {}: {}\n{}\n", seed, *failure, print_text(random.graph));
+    if (failures == 10) break;
+  }
+  const uint64_t drawn = counts.kept + counts.illegal + counts.unpredictable;
+  fmt::print("{} nodes drawn: {} kept, {:.1f} % illegal, {:.1f} % without a result; {} graphs fused\n", drawn, counts.kept,
+             100.0 * static_cast<double>(counts.illegal) / static_cast<double>(drawn),
+             100.0 * static_cast<double>(counts.unpredictable) / static_cast<double>(drawn), fused);
+  for (const auto& [name, count] : kernels) fmt::print("{} dispatches of {}\n", count, name);
+  for (const OpInfo& info : all_ops()) {
+    fmt::print("{} {}\n", counts.ops[info.op], info.name);
+    if (arguments.count >= 500 && counts.ops[info.op] == 0) {
+      fmt::print("FAILED: no graph has this operator\n");
+      ++failures;
+    }
+  }
+  fmt::print("{} failures\n", failures);
+  return failures == 0 ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace shale
+
+int main(int count, char** values) {
+  shale::Arguments arguments;
+  CLI::App app("Differential test over random graphs");
+  app.add_option("--seed", arguments.seed, "seed of the first graph; the next one has the next number")->envname("SHALE_RANDOM_SEED");
+  app.add_option("--count", arguments.count, "number of graphs")->envname("SHALE_RANDOM_COUNT");
+  app.add_option("--validated", arguments.validated, "how many of them run under the validation layer");
+  CLI11_PARSE(app, count, values);
+  return shale::run(arguments);
+}

@@ -1,0 +1,222 @@
+// The program as its users meet it: exit codes, messages, files.
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Outcome {
+  int exit = -1;
+  std::string text;  ///< standard output and error
+};
+
+Outcome shale(const std::string& arguments, const std::string& environment = "") {
+  Outcome outcome;
+  std::FILE* pipe = popen((environment + " " SHALE_PROGRAM " " + arguments + " 2>&1").c_str(), "r");
+  char buffer[4096];
+  for (size_t count; (count = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.text.append(buffer, count);
+  const int status = pclose(pipe);
+  outcome.exit = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  return outcome;
+}
+
+std::string read(const fs::path& path) {
+  std::ifstream stream(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+void write(const fs::path& path, const std::string& text) { std::ofstream(path, std::ios::binary) << text; }
+
+const std::string kModels = SHALE_SOURCE_DIR "/models";
+
+/// A graph of two operators in text form.
+constexpr const char* kSmallGraph = R"(graph main {
+  input %x : i8[1,4,4,1]
+  const %w : i8[1,3,3,1] = [1,2,3,4,5,6,7,8,9]
+  const %b : i32[1] = [10]
+  const %zp : i8[1] = [-3]
+  const %zero : i8[1] = [0]
+  const %zero32 : i32[1] = [0]
+  const %m : i32[1] = [1073741824]
+  const %s : i8[1] = [36]
+  %acc = conv2d %x, %w, %b, %zp, %zero {pad=[1,1,1,1], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,1]
+  %y = rescale %acc, %m, %s, %zero32, %zero {scale32=true, rounding_mode=single} : i8[1,4,4,1]
+  return %y
+}
+)";
+
+class Cli : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::temp_directory_path() / ("shale_cli_" + std::string(testing::UnitTest::GetInstance()->current_test_info()->name()));
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
+    write(file("small.tir"), kSmallGraph);
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+  std::string file(const std::string& name) const { return (folder_ / name).string(); }
+
+  fs::path folder_;
+};
+
+TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
+  const Outcome top = shale("--help");
+  EXPECT_EQ(top.exit, 0);
+  for (const char* command : {"compile", "run", "play", "report", "dump", "verify", "conform", "doctor"}) {
+    EXPECT_NE(top.text.find(command), std::string::npos) << command;
+    const Outcome help = shale(std::string(command) + " --help");
+    EXPECT_EQ(help.exit, 0) << command;
+    EXPECT_NE(help.text.find("Example: shale " + std::string(command)), std::string::npos) << help.text;
+  }
+}
+
+TEST_F(Cli, ExitCodesTellUsageFromRefusalFromMissingDevice) {
+  EXPECT_EQ(shale("").exit, 2);
+  EXPECT_EQ(shale("nonsense").exit, 2);
+  EXPECT_EQ(shale("compile").exit, 2);
+  EXPECT_EQ(shale("verify " + file("absent.tosa")).exit, 1);
+  EXPECT_EQ(shale("verify " + file("small.tir")).exit, 0);
+  EXPECT_EQ(shale("doctor", "VK_ICD_FILENAMES=/nonexistent VK_DRIVER_FILES=/nonexistent").exit, 3);
+  EXPECT_EQ(shale("run " + file("small.tir") + " --random 1", "VK_ICD_FILENAMES=/nonexistent VK_DRIVER_FILES=/nonexistent").exit, 3);
+  EXPECT_EQ(shale("run " + file("small.tir") + " --random 1 --device NoSuchDevice").exit, 3);
+}
+
+TEST_F(Cli, TheSamePackageTwice) {
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("a.shale")).exit, 0);
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("b.shale")).exit, 0);
+  EXPECT_EQ(read(file("a.shale")), read(file("b.shale")));
+}
+
+TEST_F(Cli, ARefusedModelLeavesNoFile) {
+  write(file("bad.tir"), std::string(kSmallGraph).substr(0, 200));
+  const Outcome outcome = shale("compile " + file("bad.tir") + " -o " + file("out.shale"));
+  EXPECT_EQ(outcome.exit, 1);
+  EXPECT_NE(outcome.text.find("error: "), std::string::npos);
+  EXPECT_NE(outcome.text.find("line "), std::string::npos) << outcome.text;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder_))
+    EXPECT_NE(entry.path().filename().string().substr(0, 3), "out") << entry.path();
+}
+
+TEST_F(Cli, TruncationAtEveryByteIsAnErrorWithExitCodeOne) {
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("whole.shale")).exit, 0);
+  const std::string golden = SHALE_SHARED_DIR "/golden/tosa/add/00/graph.tosa";
+  if (!fs::exists(golden)) GTEST_SKIP() << golden << " is not there";
+  const std::string bytes = read(golden);
+  ASSERT_GT(bytes.size(), 100u);
+  for (size_t size = 0; size < bytes.size(); ++size) {
+    write(file("cut.tosa"), bytes.substr(0, size));
+    const Outcome outcome = shale("verify " + file("cut.tosa"));
+    ASSERT_EQ(outcome.exit, 1) << size << " of " << bytes.size() << " bytes: " << outcome.text;
+    ASSERT_NE(outcome.text.find("cut.tosa"), std::string::npos) << outcome.text;
+  }
+  const std::string package = read(file("whole.shale"));
+  for (size_t size = 0; size < package.size(); size += 97) {
+    write(file("cut.shale"), package.substr(0, size));
+    ASSERT_EQ(shale("verify " + file("cut.shale")).exit, 1) << size << " of " << package.size() << " bytes";
+  }
+}
+
+TEST_F(Cli, RunChecksAgainstTheInterpreterUnderValidation) {
+  const Outcome outcome = shale("run " + file("small.tir") + " --random 7 --check --validation --profile");
+  EXPECT_EQ(outcome.exit, 0) << outcome.text;
+  EXPECT_NE(outcome.text.find("output \"y\": equal to the interpreter"), std::string::npos) << outcome.text;
+  EXPECT_NE(outcome.text.find("us total"), std::string::npos);
+}
+
+TEST_F(Cli, RunOfAPackageNeedsItsModelToCheck) {
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
+  EXPECT_EQ(shale("run " + file("s.shale") + " --random 1 --check").exit, 1);
+  EXPECT_EQ(shale("run " + file("s.shale") + " --random 1 --check --model " + file("small.tir")).exit, 0);
+  EXPECT_EQ(shale("run " + file("s.shale")).exit, 1) << "inputs are missing";
+}
+
+TEST_F(Cli, TrainedModelsGiveTheirGoldenOffsets) {
+  for (const char* name : {"srpo_x2", "srpo_x3"}) {
+    const std::string model = kModels + "/" + name;
+    const Outcome outcome = shale("run " + model + "/model.tosa --input input=" + model + "/golden/input.npy -o " +
+                                  file(name) + " --check --validation");
+    EXPECT_EQ(outcome.exit, 0) << outcome.text;
+    EXPECT_EQ(read(file(name) + "/offsets.npy"), read(model + "/golden/offsets.npy")) << name;
+  }
+}
+
+TEST_F(Cli, PlayRunsTheSandwichOnAPictureAndAFolder) {
+  const std::string picture = kModels + "/pictures/raster_lr.png";
+  const Outcome one = shale("play " + kModels + "/srpo_x2 -i " + picture + " -o " + file("one.png") + " --compare " +
+                            file("panels.png") + " --reference " + kModels + "/pictures/raster_x2.png --profile --validation --json");
+  ASSERT_EQ(one.exit, 0) << one.text;
+  const nlohmann::json json = nlohmann::json::parse(one.text);
+  EXPECT_EQ(json["frames"][0]["width"], 960);
+  EXPECT_EQ(json["frames"][0]["height"], 540);
+  EXPECT_GT(json["frames"][0]["psnr_db"]["network"].get<double>(), 15.0);
+  EXPECT_GE(json["dispatches"].size(), 5u);
+  EXPECT_TRUE(fs::exists(file("panels.png")));
+
+  fs::create_directories(folder_ / "in");
+  fs::copy_file(picture, folder_ / "in" / "a.png");
+  fs::copy_file(picture, folder_ / "in" / "b.png");
+  ASSERT_EQ(shale("play " + kModels + "/srpo_x2 -i " + file("in") + " -o " + file("out")).exit, 0);
+  EXPECT_EQ(read(file("out/a.png")), read(file("one.png")));
+  EXPECT_EQ(read(file("out/b.png")), read(file("one.png")));
+}
+
+TEST_F(Cli, PlayRefusesPicturesOfAnotherSizeAndPackagesWithoutSandwich) {
+  ASSERT_EQ(shale("compile " + kModels + "/srpo_x2 --input-shape input=1,16,16,3 -o " + file("p.shale")).exit, 0);
+  const std::string play = " -i " + kModels + "/pictures/raster_lr.png -o " + file("o.png");
+  const Outcome size = shale("play " + file("p.shale") + play);
+  EXPECT_EQ(size.exit, 1);
+  EXPECT_NE(size.text.find("480x270"), std::string::npos) << size.text;
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
+  EXPECT_EQ(shale("play " + file("s.shale") + play).exit, 1);
+  EXPECT_EQ(shale("play " + kModels + "/srpo_x2 -i " + file("small.tir") + " -o " + file("o.png")).exit, 1);
+  EXPECT_FALSE(fs::exists(file("o.png")));
+}
+
+TEST_F(Cli, DumpShowsGraphPackageMemoryAndShaders) {
+  EXPECT_EQ(shale("dump " + file("small.tir")).text, shale("dump " + file("small.tir")).text);
+  ASSERT_EQ(shale("compile " + file("small.tir") + " --kernels generic -o " + file("s.shale")).exit, 0);
+  EXPECT_NE(shale("dump " + file("s.shale")).text.find("generic"), std::string::npos);
+  EXPECT_NE(shale("dump " + file("s.shale") + " --what memory").text.find("arena"), std::string::npos);
+  EXPECT_NE(shale("dump " + file("s.shale") + " --what spirv").text.find("OpEntryPoint"), std::string::npos);
+  EXPECT_EQ(shale("dump " + file("small.tir") + " --what memory").exit, 1);
+}
+
+TEST_F(Cli, CompileOptionsAreChecked) {
+  const std::string compile = "compile " + file("small.tir") + " -o " + file("s.shale");
+  for (const char* option : {"--input-shape x=1,4", "--input-shape y=1,4,4,1", "--input-shape x", "--input-shape x=0,4,4,1",
+                             "--kernels none", "--target moon", "--dump-after nothing"}) {
+    const Outcome outcome = shale(compile + " " + option);
+    EXPECT_EQ(outcome.exit, 1) << option << ": " << outcome.text;
+    EXPECT_EQ(std::count(outcome.text.begin(), outcome.text.end(), '\n'), 1) << option << ": " << outcome.text;
+  }
+  const Outcome dumped = shale(compile + " --dump-after fold-zero-point --verify-each");
+  EXPECT_EQ(dumped.exit, 0) << dumped.text;
+  EXPECT_NE(dumped.text.find("# after fold-zero-point"), std::string::npos);
+  EXPECT_NE(dumped.text.find("pad "), std::string::npos) << "the zero point's pad is explicit";
+}
+
+TEST_F(Cli, JsonIsJson) {
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
+  for (const std::string& command :
+       {"compile " + file("small.tir") + " -o " + file("t.shale") + " --json", "verify " + file("small.tir") + " --json",
+        "run " + file("small.tir") + " --random 1 --json", "report " + file("small.tir") + " --json", std::string("doctor --json")}) {
+    const Outcome outcome = shale(command);
+    EXPECT_EQ(outcome.exit, 0) << command;
+    EXPECT_TRUE(nlohmann::json::accept(outcome.text)) << command << "\n" << outcome.text;
+  }
+}
+
+TEST_F(Cli, ReportCountsTheSrpoParameters) {
+  const Outcome outcome = shale("report " + kModels + "/srpo_x2");
+  EXPECT_EQ(outcome.exit, 0);
+  EXPECT_TRUE(outcome.text.find("8,434") != std::string::npos || outcome.text.find("8434") != std::string::npos) << outcome.text;
+}
+
+}  // namespace
