@@ -15,6 +15,7 @@ using Json = nlohmann::json;
 // Bounds that keep every sum below 2^63; no published network comes near them.
 constexpr int64_t kMaxWindow = 1024, kMaxStep = 64, kMaxChannels = 65536, kMaxLayers = 1024, kMaxRatioTerm = 1 << 20;
 constexpr int64_t kMaxSide = 16384;
+constexpr uint64_t kMaxGraphParameters = uint64_t{1} << 28;  // they are bytes in memory
 constexpr size_t kMaxRows = 10000, kMaxParts = 16;
 
 struct LayerName {
@@ -777,6 +778,8 @@ LayerCounts count_layers(std::span<const Layer> layers) {
 Result<Graph> graph_of_layers(const std::string& name, std::span<const Layer> layers, int64_t lr_h, int64_t lr_w) {
   if (lr_h < 1 || lr_w < 1 || lr_h > kMaxSide || lr_w > kMaxSide)
     return bad_input("", "{}x{} pixels, expected 1 to {} a side", lr_h, lr_w, kMaxSide);
+  if (const uint64_t count = count_layers(layers).parameters; count > kMaxGraphParameters)
+    return unsupported("", "{} parameters, a graph is built for up to {}", count, kMaxGraphParameters);
   return GraphBuilder(name, lr_h, lr_w).build(layers);
 }
 

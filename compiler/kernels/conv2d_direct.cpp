@@ -1,8 +1,9 @@
 // conv2d_s8_f32exact and conv2d_s8_i32: direct convolution with the weights as literals in the code.
 //
-// Meaning of a workgroup: a 64x1 strip of output pixels; one invocation makes all output channels of one
-// pixel (of the module's slice of channels), kPass channels at a time in registers. Input by texel
-// fetches, four channels each where the layout allows. Source: ours; figures in compiler/kernels/README.md.
+// Meaning of a workgroup: a strip of 64 tiles of output pixels; one invocation makes all output channels of one
+// tile (of the module's slice of channels), kPass sums at a time in registers. A tile is one pixel where there are
+// kPass channels; with fewer it is as many pixels as fill kPass sums, so that neighbours share their fetches. Input
+// by texel fetches, four channels each where the layout allows. Source: ours; figures in compiler/kernels/README.md.
 //
 // f32exact sums int8 products in float32, exact while every partial sum stays below 2^24; the range proof
 // of the actual weights decides. The bias is added as an integer afterwards, so it does not count.
@@ -16,7 +17,7 @@ namespace shale {
 namespace {
 
 constexpr int64_t kFloatExact = int64_t{1} << 24;
-constexpr int64_t kPass = 16;             ///< accumulators kept live
+constexpr int64_t kPass = 16;             ///< sums kept live
 constexpr int64_t kModuleProducts = 9216; ///< products in a module: bounds the driver's compile time
 constexpr int64_t kMaxModules = 64;
 constexpr int64_t kLocalX = 64;
@@ -56,6 +57,18 @@ int64_t products_per_channel(const GroupProblem& problem) {
   return weight[1] * weight[2] * weight[3];
 }
 
+/// Output pixels of an invocation.
+struct Tile {
+  int64_t height, width;
+};
+
+Tile tile_of(int64_t channels) {
+  if (channels > 8) return {1, 1};
+  if (channels > 4) return {1, 2};
+  if (channels > 2) return {2, 2};
+  return channels == 2 ? Tile{2, 4} : Tile{4, 4};
+}
+
 /// Output channels in a module: multiples of kPass as far as kModuleProducts allows.
 int64_t channels_per_module(const GroupProblem& problem) {
   const int64_t channels = problem.graph->value(problem.group.result).type.shape[3];
@@ -76,23 +89,29 @@ bool direct_supports(const GroupProblem& problem, const DeviceProfile& profile) 
   const int64_t per_module = channels_per_module(problem);
   if (products_per_channel(problem) * std::min(per_module, kPass) > 4 * kModuleProducts) return false;
   if ((channels + per_module - 1) / per_module > kMaxModules) return false;
-  const std::vector<int64_t> leaves = leaf_channels(problem, node.inputs[0], graph.producers());
+  const Shape& out = graph.value(node.output).type.shape;
+  const Tile tile = tile_of(channels);
+  const auto fits_grid = [](int64_t extent, int64_t each) { return (extent + each - 1) / each <= kMaxWorkgroups; };
+  if (!fits_grid(out[2], kLocalX * tile.width) || !fits_grid(out[1], tile.height) || !fits_grid(out[0], 1)) return false;
+  const std::vector<std::optional<NodeId>> producers = graph.producers();
+  const std::vector<int64_t> leaves = leaf_channels(problem, node.inputs[0], producers);
   if (leaves.empty()) return false;
-  for (const NodeId id : problem.group.nodes) {
-    if (id == *problem.group.head) continue;
-    const Node& member = graph.node(id);
-    for (const ValueId operand : member.inputs) {
-      const std::vector<int64_t>& shape = graph.value(operand).type.shape;
-      if (element_count(shape).value_or(0) > static_cast<int64_t>(profile.caps.max_texel_elements)) return false;
-    }
-  }
-  return true;
+  const auto fits_texels = [&](ValueId id) {
+    const std::optional<NodeId> producer = producers[id.index];
+    return (producer && problem.group.contains(*producer)) ||
+           element_count(graph.value(id).type.shape).value_or(0) <= static_cast<int64_t>(profile.caps.max_texel_elements);
+  };
+  return std::all_of(problem.group.nodes.begin(), problem.group.nodes.end(), [&](NodeId id) {
+    const std::vector<ValueId>& operands = graph.node(id).inputs;
+    return id == *problem.group.head ? fits_texels(operands[0])
+                                     : std::all_of(operands.begin(), operands.end(), fits_texels);
+  });
 }
 
 double direct_time_us(const GroupProblem& problem, const DeviceProfile& profile, double share) {
   const Shape& weight = problem.graph->value(head_of(problem).inputs[1]).type.shape;
-  // Channel by channel fetches cost about as much as four products each.
-  const double overhead = weight[3] % 4 == 0 ? 1.0 : 1.0 + 16.0 / static_cast<double>(std::min<int64_t>(weight[0], kPass));
+  // Channel by channel fetches cost about as much as a pass of products each.
+  const double overhead = weight[3] % 4 == 0 ? 1.0 : 2.0;
   const double arithmetic = 2e-3 * static_cast<double>(problem.cost.macs) / (profile.mul_add_gops * share) * overhead;
   const double memory = 1e-3 * static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written) / profile.bandwidth_gbps;
   return std::max(arithmetic, memory) + profile.launch_us;
@@ -104,6 +123,7 @@ class DirectEmitter {
       : problem_(problem), graph_(*problem.graph), node_(head_of(problem)), float_(use_float),
         weight_(*graph_.value(node_.inputs[1]).constant), producers_(graph_.producers()) {
     const std::vector<int64_t> leaves = leaf_channels(problem, node_.inputs[0], producers_);
+    tile_ = tile_of(graph_.value(node_.output).type.shape[3]);
     lanes_ = std::all_of(leaves.begin(), leaves.end(), [](int64_t c) { return c % 4 == 0; }) ? 4 : 1;
   }
 
@@ -121,70 +141,118 @@ class DirectEmitter {
     Codegen codegen(problem_);
     functions_.clear();
     const Shape& out = graph_.value(node_.output).type.shape;
-    const TensorType& result = graph_.value(problem_.group.result).type;
     const std::span<const int64_t> pad = node_.attrs.list(Attr::kPad);
     const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
     std::string body = fmt::format(
-        "  int x = int(gl_GlobalInvocationID.x);\n  int y = int(gl_GlobalInvocationID.y);\n"
+        "  int x = int(gl_GlobalInvocationID.x) * {};\n  int y = int(gl_GlobalInvocationID.y) * {};\n"
         "  int n = int(gl_GlobalInvocationID.z);\n  if (x >= {}) return;\n"
         "  int ix = x * {} - {};\n  int iy = y * {} - {};\n",
-        out[2], stride[1], pad[2], stride[0], pad[0]);
-    // Four int8 results make a word of the result buffer where channels allow it.
-    const bool words = result.dtype == DType::kInt8 && out[3] % 4 == 0;
-    for (int64_t pass = first; pass < last; pass += kPass)
-      body += channels(codegen, pass, std::min(last, pass + kPass), words);
+        tile_.width, tile_.height, out[2], stride[1], pad[2], stride[0], pad[0]);
+    for (int64_t pass = first; pass < last; pass += kPass) body += channels(codegen, pass, std::min(last, pass + kPass));
     KernelSource source;
     source.glsl = codegen.finish(fmt::format("local_size_x = {}", kLocalX), body);
-    source.workgroups = {static_cast<uint32_t>((out[2] + kLocalX - 1) / kLocalX), static_cast<uint32_t>(out[1]),
-                         static_cast<uint32_t>(out[0])};
+    const auto groups = [](int64_t extent, int64_t each) { return static_cast<uint32_t>((extent + each - 1) / each); };
+    source.workgroups = {groups(out[2], kLocalX * tile_.width), groups(out[1], tile_.height), static_cast<uint32_t>(out[0])};
     source.bindings = codegen.bindings();
     source.optimize = false;
     return source;
   }
 
-  /// Code for output channels [first, last) of the invocation's pixel.
-  std::string channels(Codegen& codegen, int64_t first, int64_t last, bool words) {
+  int64_t weight(int64_t oc, int64_t ky, int64_t kx, int64_t c) const {
+    const Shape& shape = weight_.type.shape;
+    return weight_.get(((oc * shape[1] + ky) * shape[2] + kx) * shape[3] + c) - graph_.value(node_.inputs[4]).constant->get(0);
+  }
+
+  /// The tap that makes output pixel `out` read input offset `in` along an axis, or nothing.
+  static std::optional<int64_t> tap(int64_t in, int64_t out, int64_t stride, int64_t dilation, int64_t taps) {
+    const int64_t distance = in - out * stride;
+    if (distance < 0 || distance % dilation != 0 || distance / dilation >= taps) return std::nullopt;
+    return distance / dilation;
+  }
+
+  /// Input offsets along an axis that any tap of any pixel of the tile reads, each once and in order: with a
+  /// large stride or dilation they are few in a wide span.
+  static std::set<int64_t> offsets(int64_t pixels, int64_t stride, int64_t taps, int64_t dilation) {
+    std::set<int64_t> result;
+    for (int64_t pixel = 0; pixel < pixels; ++pixel)
+      for (int64_t tap = 0; tap < taps; ++tap) result.insert(pixel * stride + tap * dilation);
+    return result;
+  }
+
+  /// Code for output channels [first, last) of the invocation's tile.
+  std::string channels(Codegen& codegen, int64_t first, int64_t last) {
     const Shape& shape = weight_.type.shape;
     const char* scalar = float_ ? "float" : "int";
-    const int64_t weight_zp = graph_.value(node_.inputs[4]).constant->get(0);
     const int64_t input_zp = graph_.value(node_.inputs[3]).constant->get(0);
     const std::span<const int64_t> dilation = node_.attrs.list(Attr::kDilation);
+    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
     std::string text = "  {\n";
-    std::vector<int64_t> weight_sum(static_cast<size_t>(last - first));
-    for (int64_t oc = first; oc < last; ++oc) text += fmt::format("  {} a{} = {};\n", scalar, oc - first, float_ ? "0.0" : "0");
+    for (int64_t pixel = 0; pixel < tile_.height * tile_.width; ++pixel)
+      for (int64_t oc = first; oc < last; ++oc)
+        text += fmt::format("  {} a{}_{} = {};\n", scalar, pixel, oc - first, float_ ? "0.0" : "0");
     text += lanes_ == 4 ? fmt::format("  {} t;\n", float_ ? "vec4" : "ivec4") : fmt::format("  {} t;\n", scalar);
-    for (int64_t ky = 0; ky < shape[1]; ++ky)
-      for (int64_t kx = 0; kx < shape[2]; ++kx)
+    for (const int64_t row : offsets(tile_.height, stride[0], shape[1], dilation[0]))
+      for (const int64_t column : offsets(tile_.width, stride[1], shape[2], dilation[1]))
         for (int64_t c = 0; c < shape[3]; c += lanes_) {
-          std::string terms;
-          for (int64_t oc = first; oc < last; ++oc) {
-            std::string sum;
-            for (int64_t lane = 0; lane < lanes_; ++lane) {
-              const int64_t w = weight_.get(((oc * shape[1] + ky) * shape[2] + kx) * shape[3] + c + lane) - weight_zp;
-              weight_sum[static_cast<size_t>(oc - first)] += w;
-              if (w == 0) continue;
-              const std::string x = lanes_ == 4 ? fmt::format("t.{}", "xyzw"[lane]) : "t";
-              sum += fmt::format("{}{} * {}", sum.empty() ? "" : " + ", x,
-                                 float_ ? fmt::format("{}.0", w) : std::to_string(w));
-            }
-            if (!sum.empty()) terms += fmt::format("  a{} += {};\n", oc - first, sum);
-          }
+          const std::string terms = products(first, last, row, column, c);
           if (terms.empty()) continue;
           text += fmt::format("  t = {}({});\n", lanes_ == 4 ? (float_ ? "vec4" : "ivec4") : scalar,
-                              fetch(codegen, node_.inputs[0], c, fmt::format("iy + {}", ky * dilation[0]),
-                                    fmt::format("ix + {}", kx * dilation[1]), input_zp)) +
+                              fetch(codegen, node_.inputs[0], c, fmt::format("iy + {}", row), fmt::format("ix + {}", column),
+                                    input_zp)) +
                   terms;
         }
+    for (int64_t j = 0; j < tile_.height; ++j)
+      for (int64_t i = 0; i < tile_.width; ++i) results(codegen, text, first, last, j, i);
+    return text + "  }\n";
+  }
+
+  /// What the texel at (row, column) of the tile's input, channels from `c` on, adds to the sums.
+  std::string products(int64_t first, int64_t last, int64_t row, int64_t column, int64_t c) const {
+    const Shape& shape = weight_.type.shape;
+    const std::span<const int64_t> dilation = node_.attrs.list(Attr::kDilation);
+    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
+    std::string text;
+    for (int64_t pixel = 0; pixel < tile_.height * tile_.width; ++pixel) {
+      const std::optional<int64_t> ky = tap(row, pixel / tile_.width, stride[0], dilation[0], shape[1]);
+      const std::optional<int64_t> kx = tap(column, pixel % tile_.width, stride[1], dilation[1], shape[2]);
+      if (!ky || !kx) continue;
+      for (int64_t oc = first; oc < last; ++oc) {
+        std::string sum;
+        for (int64_t lane = 0; lane < lanes_; ++lane) {
+          const int64_t w = weight(oc, *ky, *kx, c + lane);
+          if (w == 0) continue;
+          const std::string x = lanes_ == 4 ? fmt::format("t.{}", "xyzw"[lane]) : "t";
+          sum += fmt::format("{}{} * {}", sum.empty() ? "" : " + ", x, float_ ? fmt::format("{}.0", w) : std::to_string(w));
+        }
+        if (!sum.empty()) text += fmt::format("  a{}_{} += {};\n", pixel, oc - first, sum);
+      }
+    }
+    return text;
+  }
+
+  /// Bias, fused elementwise nodes and stores of pixel (j, i) of the tile.
+  void results(Codegen& codegen, std::string& text, int64_t first, int64_t last, int64_t j, int64_t i) {
+    const Shape& shape = weight_.type.shape;
+    const Shape& out = graph_.value(node_.output).type.shape;
+    const int64_t pixel = j * tile_.width + i;
+    const int64_t input_zp = graph_.value(node_.inputs[3]).constant->get(0);
     const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
+    const std::string y = j == 0 ? "y" : fmt::format("(y + {})", j), x = i == 0 ? "x" : fmt::format("(x + {})", i);
+    // The last tiles of a row or column may reach beyond the result.
+    text += fmt::format("  if ({} < {} && {} < {}) {{\n", x, out[2], y, out[1]);
+    // Four int8 results make a word of the result buffer where channels allow it.
+    const bool words = graph_.value(problem_.group.result).type.dtype == DType::kInt8 && out[3] % 4 == 0;
     std::string word;
     for (int64_t oc = first; oc < last; ++oc) {
       // Raw bytes were multiplied: zp * sum(w) comes off here, and a padded tap reads zp.
-      const int64_t offset = bias.get(bias.count() == 1 ? 0 : oc) - input_zp * weight_sum[static_cast<size_t>(oc - first)];
-      const std::string suffix = fmt::format("_{}", oc - first);
-      text += fmt::format("  int h{} = int(a{}) + {};\n", suffix, oc - first,
+      int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
+      for (int64_t k = 0; input_zp != 0 && k < shape[1] * shape[2] * shape[3]; ++k)
+        offset -= input_zp * weight(oc, k / (shape[2] * shape[3]), k / shape[3] % shape[2], k % shape[3]);
+      const std::string suffix = fmt::format("_{}_{}", pixel, oc - first);
+      text += fmt::format("  int h{0} = int(a{1}_{2}) + {3};\n", suffix, pixel, oc - first,
                           Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(offset))));
       codegen.locals()[node_.output] = "h" + suffix;
-      const Position at{{"n", "y", "x", std::to_string(oc)}, {}};
+      const Position at{{"n", y, x, std::to_string(oc)}, {}};
       codegen.epilogue(text, at, suffix);
       const std::string value = codegen.load(problem_.group.result, at);
       if (!words) {
@@ -193,13 +261,12 @@ class DirectEmitter {
         word += fmt::format("(({} & 255) << {}) | ", value, 8 * (oc % 4));
       } else {
         const size_t binding = codegen.bind(problem_.group.result, BindingType::kStorageBuffer, ImageFormat::kRgba8Sint, true);
-        const Shape& out = graph_.value(node_.output).type.shape;
-        text += fmt::format("  b{}.d[((n * {} + y) * {} + x) * {} + {}] = uint({}({} << 24));\n", binding, out[1], out[2],
+        text += fmt::format("  b{}.d[((n * {} + {}) * {} + {}) * {} + {}] = uint({}({} << 24));\n", binding, out[1], y, out[2], x,
                             out[3] / 4, oc / 4, word, value);
         word.clear();
       }
     }
-    return text + "  }\n";
+    text += "  }\n";
   }
 
   /// Call of the function that fetches `lanes_` channels from `c` on of value `id` at row y, column x;
@@ -256,7 +323,8 @@ class DirectEmitter {
   bool float_;
   const Tensor& weight_;
   std::vector<std::optional<NodeId>> producers_;
-  int64_t lanes_ = 1;
+  Tile tile_{1, 1};
+  int64_t lanes_ = 1;  ///< channels of a fetch
   std::set<std::string> functions_;
 };
 

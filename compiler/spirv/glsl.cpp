@@ -69,7 +69,8 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines, cons
   shader.setStringsWithLengthsAndNames(&text, &length, &name, 1);
   shader.setPreamble(preamble.c_str());
   shader.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
-  shader.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_3);
+  // SPIR-V 1.6 would state the workgroup by LocalSizeId, which asks the host to enable maintenance4.
+  shader.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_2);
   // From 1.6 on glslang writes the local size as ids, which a device may run only with the feature maintenance4
   // enabled; and spirv_needs reads the literal form.
   shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_5);

@@ -10,17 +10,13 @@
 
 #include "ir/package/package.h"
 #include "runtime/datagraph/barriers.h"
+#include "runtime/datagraph/session.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/handle.h"
 #include "runtime/vk/memory.h"
 #include "runtime/vk/timestamps.h"
 
 namespace shale {
-
-/// Usage of every buffer that holds tensors.
-inline constexpr VkBufferUsageFlags kTensorBufferUsage =
-    VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT |
-    VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
 
 /// Bytes of a buffer that holds a pool of tensors: room for the last one's last word.
 inline constexpr uint64_t padded_bytes(uint64_t pool_bytes) {

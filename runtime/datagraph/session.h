@@ -13,6 +13,11 @@
 
 namespace shale {
 
+/// Usage of the runtime's own tensor buffers: what shaders need of any, and transfers.
+inline constexpr VkBufferUsageFlags kTensorBufferUsage =
+    VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT |
+    VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+
 /// A tensor inside somebody's buffer. The buffer's usage must have
 /// VK_BUFFER_USAGE_STORAGE_BUFFER_BIT and VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT.
 struct TensorView {

@@ -34,7 +34,8 @@ struct ConvCase {
   Source source = Source::kPlain;
   Epilogue epilogue = Epilogue::kPerChannel;
   bool one_bias = false;
-  int64_t weight_limit = 127;  ///< weights are drawn from -weight_limit - 1 to weight_limit
+  int64_t weight_min = -128, weight_max = 127;
+  int64_t zero_weights = 0;  ///< about how many of a hundred weights are 0
 
   friend void PrintTo(const ConvCase& c, std::ostream* out) { *out << c.name; }
 
@@ -53,7 +54,10 @@ struct ConvCase {
       return g.add_constant(label, Tensor::from_ints({dtype, {1}}, std::vector<int64_t>{value}));
     };
     const ValueId x = conv_input(g);
-    const ValueId weight = g.add_constant("w", tensor(DType::kInt8, {oc, kh, kw, ic}, -weight_limit - 1, weight_limit));
+    Tensor weights = tensor(DType::kInt8, {oc, kh, kw, ic}, weight_min, weight_max);
+    for (int64_t i = 0; i < weights.count(); ++i)
+      if (draw(0, 99) < zero_weights) weights.set(i, 0);
+    const ValueId weight = g.add_constant("w", std::move(weights));
     const ValueId bias = g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -20000, 20000));
     const ValueId zp = scalar("zp", DType::kInt8, input_zp), wzp = scalar("wzp", DType::kInt8, weight_zp);
     Attrs attrs;
@@ -154,7 +158,7 @@ inline std::vector<ConvCase> edge_conv_cases() {
   for (const int64_t zp : {-128, 0, 127}) {
     cases.push_back({.name = "zp" + std::to_string(zp), .input_zp = zp});
     cases.push_back({.name = "zp" + std::to_string(zp) + "_not_padded", .pad = {0, 0, 0, 0}, .input_zp = zp});
-    cases.push_back({.name = "zp_of_weights" + std::to_string(zp), .input_zp = 9, .weight_zp = zp, .weight_limit = 100});
+    cases.push_back({.name = "zp_of_weights" + std::to_string(zp), .input_zp = 9, .weight_zp = zp});
   }
   cases.push_back({.name = "one_by_one", .kh = 1, .kw = 1, .pad = {0, 0, 0, 0}});
   cases.push_back({.name = "one_pixel", .h = 1, .w = 1, .ic = 1, .oc = 1, .kh = 1, .kw = 1, .pad = {0, 0, 0, 0}});
@@ -169,7 +173,7 @@ inline std::vector<ConvCase> edge_conv_cases() {
   cases.push_back({.name = "stride_y3_x1", .h = 10, .w = 5, .stride_y = 3, .pad = {1, 1, 1, 1}});
   cases.push_back({.name = "stride_past_the_kernel", .h = 9, .w = 9, .kh = 1, .kw = 1, .stride_y = 4, .stride_x = 8, .pad = {0, 0, 0, 0}});
   cases.push_back({.name = "dilation", .h = 9, .w = 9, .dilation_y = 2, .dilation_x = 3, .pad = {2, 2, 3, 3}});
-  cases.push_back({.name = "dilation_and_stride", .h = 9, .w = 8, .stride_y = 2, .dilation_y = 3, .dilation_x = 2, .pad = {0, 1, 0, 1}, .input_zp = 4});
+  cases.push_back({.name = "dilation_and_stride", .h = 9, .w = 8, .stride_y = 2, .dilation_y = 3, .dilation_x = 2, .pad = {2, 2, 0, 1}, .input_zp = 4});
   cases.push_back({.name = "asymmetric_pads", .pad = {0, 2, 3, 1}, .input_zp = -100});
   cases.push_back({.name = "even_kernel", .kh = 2, .kw = 4, .pad = {1, 0, 2, 1}});
   cases.push_back({.name = "batch2", .n = 2});
@@ -191,10 +195,19 @@ inline std::vector<ConvCase> edge_conv_cases() {
   cases.push_back({.name = "resize_folded_ic3", .h = 6, .w = 9, .ic = 3, .source = Source::kResize});
   cases.push_back({.name = "pad_of_concat_of_resize", .n = 2, .h = 7, .w = 10, .ic = 8, .input_zp = -128, .source = Source::kPadOfConcatOfResize});
   cases.push_back({.name = "pad_of_concat_of_resize_odd", .h = 7, .w = 10, .ic = 5, .oc = 17, .source = Source::kPadOfConcatOfResize, .epilogue = Epilogue::kTable});
-  // More output channels than a module holds.
-  cases.push_back({.name = "several_modules", .h = 3, .w = 3, .ic = 64, .oc = 40, .weight_limit = 100});
-  // 9 * 256 products of int8 leave the integers that float32 holds.
-  cases.push_back({.name = "beyond_float", .h = 3, .w = 3, .ic = 256, .oc = 4, .epilogue = Epilogue::kNone});
+  // Few channels: an invocation makes a tile of pixels, which overlap by stride and dilation.
+  cases.push_back({.name = "tile_oc1_stride2", .h = 11, .w = 13, .oc = 1, .stride_y = 2, .stride_x = 2, .input_zp = -5});
+  cases.push_back({.name = "tile_oc2_dilation", .h = 7, .w = 12, .oc = 2, .dilation_y = 3, .dilation_x = 2, .pad = {3, 3, 2, 2}});
+  cases.push_back({.name = "tile_oc3_stride_and_dilation", .h = 10, .w = 9, .oc = 3, .stride_y = 3, .stride_x = 2, .dilation_y = 2,
+                   .pad = {0, 0, 1, 1}});
+  cases.push_back({.name = "tile_oc4_past_the_kernel", .h = 9, .w = 11, .oc = 4, .kh = 1, .kw = 2, .stride_y = 4, .stride_x = 3,
+                   .pad = {0, 0, 0, 0}, .epilogue = Epilogue::kTable});
+  cases.push_back({.name = "tile_oc2_one_pixel", .h = 1, .w = 1, .oc = 2, .stride_y = 8192, .stride_x = 8192, .epilogue = Epilogue::kResidual});
+  // More output channels than a module holds; zeros keep the modules small.
+  cases.push_back({.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
+  // The fewest products that leave the integers that float32 holds: 1025 * 128 * 128 > 2^24.
+  cases.push_back({.name = "beyond_float", .h = 1, .w = 2, .ic = 1028, .oc = 1, .kh = 1, .kw = 1, .pad = {0, 0, 0, 0},
+                   .epilogue = Epilogue::kNone, .weight_min = -128, .weight_max = -128});
   return cases;
 }
 

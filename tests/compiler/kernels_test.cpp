@@ -67,7 +67,9 @@ TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
   // Each family takes each row, but for the one that is there to be refused by the float kernel.
   const bool refused = kernel == "conv2d_s8_f32exact" && row.name == "beyond_float";
   EXPECT_EQ(std::find(taken.begin(), taken.end(), kernel) == taken.end(), refused);
-  expect_exact(graph, kernel, false);
+  EXPECT_EQ(taken.size(), row.name == "several_modules" && kernel != "generic" ? 3u : 1u);
+  // Without passes the kernel itself has zero points and pads.
+  if (row.input_zp != 0 || row.weight_zp != 0) expect_exact(graph, kernel, false);
 }
 
 std::vector<std::string> kernel_names() {

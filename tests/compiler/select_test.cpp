@@ -87,25 +87,26 @@ TEST(Select, LeavesOtherPadsToTheGenericKernel) {
 }
 
 /// A 1x1 convolution of [n,h,w,1]; nothing of that size is allocated.
-std::string kernel_for_shape(int64_t n, int64_t h, int64_t w) {
+std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc) {
   return selected(graph_of(fmt::format(R"(graph main {{
   input %x : i8[{0},{1},{2},1]
   const %zp : i8[1] = [0]
-  const %w : i8[1,1,1,1] = [1]
+  const %w : i8[{3},1,1,1] = [{4}1]
   const %b : i32[1] = [0]
-  %y = conv2d %x, %w, %b, %zp, %zp {{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}} : i32[{0},{1},{2},1]
+  %y = conv2d %x, %w, %b, %zp, %zp {{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}} : i32[{0},{1},{2},{3}]
   return %y
-}})", n, h, w)));
+}})", n, h, w, oc, replaced(std::string(static_cast<size_t>(oc - 1), '1'), "1", "1,"))));
 }
 
 TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {
-  EXPECT_EQ(kernel_for_shape(1, 65535, 4), "conv2d_s8_f32exact");
-  EXPECT_EQ(kernel_for_shape(1, 65536, 4), "generic");  // rows are workgroups
-  EXPECT_EQ(kernel_for_shape(65536, 1, 4), "generic");
-  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64), "conv2d_s8_f32exact");
-  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64 + 1), "generic");
-  EXPECT_EQ(kernel_for_shape(1, 8192, 16384), "conv2d_s8_f32exact");  // 2^27 texels
-  EXPECT_EQ(kernel_for_shape(1, 8192, 16385), "generic");
+  // With 16 channels an invocation has one pixel.
+  EXPECT_EQ(kernel_for_shape(1, 65535, 4, 16), "conv2d_s8_f32exact");
+  EXPECT_EQ(kernel_for_shape(1, 65536, 4, 16), "generic");  // rows are workgroups
+  EXPECT_EQ(kernel_for_shape(65536, 1, 4, 16), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64, 16), "conv2d_s8_f32exact");
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64 + 1, 16), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16384, 1), "conv2d_s8_f32exact");  // 2^27 texels
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16385, 1), "generic");
 }
 
 }  // namespace

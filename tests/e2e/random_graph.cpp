@@ -115,7 +115,7 @@ class Builder {
         return random_.pick(std::vector<Op>{Op::kConv2d, Op::kConv2d, Op::kConv2d, Op::kClamp, Op::kTable, Op::kResize,
                                             Op::kPad, Op::kConcat, Op::kRescale, Op::kDepthwiseConv2d});
     }
-    if (graph_.nodes.empty() && random_.chance(25)) return Op::kConv2d;
+    if (graph_.nodes.empty() && random_.chance(35)) return Op::kConv2d;
     return all_ops()[static_cast<size_t>(random_.between(0, static_cast<int64_t>(all_ops().size()) - 1))].op;
   }
 

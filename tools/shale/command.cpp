@@ -59,7 +59,10 @@ Error in_file(const std::string& file, Error error) {
   return error;
 }
 
-void print_json(const Json& json) { fmt::print("{}\n", json.dump(2)); }
+void print_json(const Json& json) {
+  // Names come from files; what is not UTF-8 is replaced, not thrown at the user.
+  fmt::print("{}\n", json.dump(2, ' ', false, Json::error_handler_t::replace));
+}
 
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path) {
   ModelFiles model;
@@ -101,11 +104,12 @@ Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text)
 }
 
 void CompileArguments::add_to(CLI::App& app) {
-  app.add_option("--input-shape", input_shapes, "shape of a graph input, NAME=N,H,W,C (again for each input)");
-  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")->delimiter(',');
-  app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")->delimiter(',');
+  app.add_option("--input-shape", input_shapes, "shape of a graph input, NAME=N,H,W,C (again for each input)")
+      ->allow_extra_args(false);
+  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")->delimiter(',')->allow_extra_args(false);
+  app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")->delimiter(',')->allow_extra_args(false);
   app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
-  app.add_option("--dump-after", dump_after, "print the graph after these passes")->delimiter(',');
+  app.add_option("--dump-after", dump_after, "print the graph after these passes")->delimiter(',')->allow_extra_args(false);
   app.add_flag("--no-passes", no_passes, "skip every pass that is not needed to compile");
   app.add_flag("--verify-each", verify_each, "verify the graph after each pass");
   app.add_flag("--require-proof", require_proof, "refuse convolutions whose accumulators cannot be bounded");

@@ -89,7 +89,6 @@ Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& op
 /// Puts `file` in front of an error's location.
 Error in_file(const std::string& file, Error error);
 
-/// Prints JSON, or writes it to a file with `path`.
 void print_json(const Json& json);
 
 }  // namespace shale

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <limits>
 
 #include "compiler/cost/cost.h"
 #include "compiler/cost/layers.h"
@@ -37,7 +36,7 @@ std::string per_pixel_text(double count) {
   return fmt::format("{:.2f}", count);
 }
 
-std::string percent_text(double share) { return std::isfinite(share) ? fmt::format("{:.1f} %", 100 * share) : "no"; }
+std::string percent_text(double share) { return fmt::format("{:.1f} %", 100 * share); }
 
 /// Names come from files, so they may be no UTF-8, which plain dump() would abort on.
 void print_report(const Json& json) { fmt::print("{}\n", json.dump(2, ' ', false, Json::error_handler_t::replace)); }
@@ -57,11 +56,16 @@ Json verdict_json(const Verdict& verdict, const Budget& budget) {
 }
 
 void print_verdict(const Verdict& verdict, const Budget& budget, double gop) {
+  const double left_ms = budget.frame_ms - budget.passes_ms;
   fmt::print("  budget: {} ms a frame less {} ms of passes leave {:.2f} ms, {:.2f} GOP at {} TOP/s\n", budget.frame_ms,
-             budget.passes_ms, budget.frame_ms - budget.passes_ms, verdict.available_gop, budget.tops);
-  fmt::print("    needs {} efficiency for {:.3f} GOP; at {} it takes {:.2f} ms: {} by {:.2f} ms\n",
-             percent_text(verdict.required_efficiency), gop, percent_text(budget.efficiency), verdict.network_ms,
-             verdict.fits ? "fits" : "does not fit", std::abs(verdict.headroom_ms));
+             budget.passes_ms, left_ms, verdict.available_gop, budget.tops);
+  if (left_ms <= 0) {
+    fmt::print("    no time is left for the network: it does not fit\n");
+    return;
+  }
+  fmt::print("    {:.3f} GOP need {} efficiency; at {} they take {:.2f} ms: {:.2f} ms {}\n", gop,
+             percent_text(verdict.required_efficiency), percent_text(budget.efficiency), verdict.network_ms,
+             std::abs(verdict.headroom_ms), verdict.fits ? "to spare, it fits" : "too slow, it does not fit");
 }
 
 // A graph.
@@ -185,7 +189,8 @@ struct PackageReport {
   std::vector<std::string> unknown;  ///< measured, but not in the package
   Cost total;
   uint64_t network_macs = 0;         ///< without the passes around the network
-  double joined_us = 0, measured_us = 0;  ///< predicted and measured, of dispatches that have both
+  size_t joined = 0;                      ///< dispatches that have both times
+  double joined_us = 0, measured_us = 0;  ///< predicted and measured, of those
 };
 
 Result<PackageReport> cost_of_package(const Package& package, const Arguments& arguments) {
@@ -196,7 +201,6 @@ Result<PackageReport> cost_of_package(const Package& package, const Arguments& a
     SHALE_TRY(measured, read_measured(arguments.measured));
   }
   PackageReport report{.variant = &package.variants[arguments.variant], .dispatches = {}, .unknown = {}, .total = {}};
-  bool joined = false;
   for (const Segment& segment : report.variant->segments) {
     for (const Dispatch& dispatch : segment.dispatches) {
       DispatchReport row{&segment, &dispatch, std::nullopt};
@@ -205,7 +209,7 @@ Result<PackageReport> cost_of_package(const Package& package, const Arguments& a
         report.joined_us += dispatch.cost.time_us;
         report.measured_us += time->second;
         measured.erase(time);
-        joined = true;
+        ++report.joined;
       }
       report.dispatches.push_back(row);
       report.total.macs += dispatch.cost.macs;
@@ -216,7 +220,7 @@ Result<PackageReport> cost_of_package(const Package& package, const Arguments& a
       if (segment.kind == SegmentKind::kGraph) report.network_macs += dispatch.cost.macs;
     }
   }
-  if (!arguments.measured.empty() && !joined)
+  if (!arguments.measured.empty() && report.joined == 0)
     return bad_input(arguments.measured, "names no dispatch of this package; was it measured with another one?");
   for (const auto& [name, time_us] : measured) report.unknown.push_back(name);
   return report;
@@ -271,6 +275,8 @@ void print_package(const PackageReport& report, const Package& package, const Ar
   const std::optional<double> ratio =
       report.measured_us > 0 ? std::optional(report.joined_us / report.measured_us) : std::nullopt;
   line(report.total, times_text(report.measured_us, ratio), "", "total");
+  if (measured && report.joined < report.dispatches.size())
+    fmt::print("  {} of {} dispatches were measured; the last ratio is theirs\n", report.joined, report.dispatches.size());
   for (const std::string& name : report.unknown) fmt::print("  measured, but not in the package: {}\n", name);
   fmt::print("\n");
   print_verdict(judge(report.network_macs, arguments.budget), arguments.budget, 2 * giga(report.network_macs));
@@ -421,7 +427,7 @@ Result<int> report_cost_table(const Arguments& arguments) {
   if (!arguments.json) {
     if (counted > 0)
       fmt::print("{:<20}{:>10}{:>9} {:<11}{:>12}{:>11}{:>11}{:>11}{:>11}{:>8}  {:<10} {}\n", "row", "params", "stated", "", "MAC/LR px",
-                 "of it HR", "ctr_A/px", "LR size", "G computed", "stated", "", "convention");
+                 "at HR", "ctr_A/px", "LR size", "G computed", "stated", "", "convention");
     for (const CostRow& row : rows)
       if (!row.layers.empty()) print_row(row);
     for (const CostRow& row : rows)
@@ -455,7 +461,8 @@ Action add_report(CLI::App& app) {
       what.add_option("--cost-table", arguments->cost_table, "count the layers of a table of published figures and compare");
   what.require_option(1);
   app.add_option("--row", arguments->row, "only this row of the table, with its graph")->needs(table);
-  app.add_option("--input-shape", arguments->input_shapes, "shape of a model's input, NAME=N,H,W,C (again for each input)");
+  app.add_option("--input-shape", arguments->input_shapes, "shape of a model's input, NAME=N,H,W,C (again for each input)")
+      ->allow_extra_args(false);  // what follows is a file
   app.add_option("--variant", arguments->variant, "variant of the package");
   app.add_option("--measured", arguments->measured, "times from shale run --profile-to, to set beside the predicted ones");
   app.add_option("--tops", budget.tops, "peak of the device, 1e12 operations a second, 2 per MAC")->check(CLI::Range(1e-6, 1e6));

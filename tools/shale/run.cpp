@@ -138,7 +138,7 @@ Result<int> run(const Arguments& arguments) {
     json["dispatches"].push_back({{"name", time.name}, {"kernel", time.kernel}, {"time_us", time.time_us}});
   }
   if (measure) json["total_us"] = total_us;
-  if (!arguments.profile_file.empty()) SHALE_TRY_VOID(write_text(arguments.profile_file, json.dump(2) + "\n"));
+  if (!arguments.profile_file.empty()) SHALE_TRY_VOID(write_text(arguments.profile_file, json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"));
   if (arguments.json) {
     print_json(json);
     return exit;
@@ -161,7 +161,7 @@ Result<int> run(const Arguments& arguments) {
 Action add_run(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   app.add_option("file", arguments->file, "model (.tosa, .tir), model folder, or package (.shale)")->required();
-  app.add_option("--input", arguments->inputs, "NAME=FILE.npy for each graph input");
+  app.add_option("--input", arguments->inputs, "NAME=FILE.npy for each graph input")->allow_extra_args(false);
   app.add_option("--random", arguments->random_seed, "seed for random values of the inputs that are not given");
   app.add_option("-o,--output", arguments->output_folder, "folder for the outputs, NAME.npy each");
   app.add_flag("--check", arguments->check, "compare bit for bit with the reference interpreter");

@@ -86,10 +86,15 @@ def _hard(value: torch.Tensor, soft: torch.Tensor) -> torch.Tensor:
     return value.detach() + (soft - soft.detach())
 
 
+def moved_softly(offsets: torch.Tensor) -> torch.Tensor:
+    """`[n, 1, h, w]` in (0, 1): a smooth stand-in for "the rounded offset is not zero"."""
+    return torch.sigmoid(8.0 * (offsets.abs().amax(dim=1, keepdim=True) - 0.5))
+
+
 def fuse_straight_through(lr: torch.Tensor, offsets: torch.Tensor, scale: int) -> torch.Tensor:
     """The displayed picture for training: forwards what `fuse` gives, before clamping.
 
-    Backwards the projection is bilinear and "moved" is a sigmoid of the larger offset part around 1/2.
+    Backwards the projection is bilinear and "moved" is `moved_softly`.
     Source: ours; the paper trains on the projection alone.
     """
     _, _, h, w = lr.shape
@@ -100,7 +105,7 @@ def fuse_straight_through(lr: torch.Tensor, offsets: torch.Tensor, scale: int) -
         shown = project_bilinear(lr, rounded, scale)
         moved = (rounded != 0).any(dim=1, keepdim=True).to(lr.dtype)
     projected = _hard(shown, project_bilinear(lr, offsets, scale))
-    moved = _hard(moved, torch.sigmoid(8.0 * (offsets.abs().amax(dim=1, keepdim=True) - 0.5)))
+    moved = _hard(moved, moved_softly(offsets))
     kernel = torch.from_numpy(mask_kernel()).to(lr.dtype)[None, None]
     alpha = F.conv2d(moved, kernel, padding=1)
     return alpha * projected + (1 - alpha) * smooth

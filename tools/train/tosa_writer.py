@@ -166,7 +166,8 @@ class GraphWriter:
             raise ValueError(f"'{name}': {len(multiplier)} multipliers, {len(shift)} shifts, {x.shape[-1]} channels")
         if shift.min() < 2 or shift.max() > 62 or multiplier.min() < 0:
             raise ValueError(f"'{name}': shifts must lie in 2 to 62 and multipliers must not be negative")
-        operands = [x, self.const(f"{name}/multiplier", multiplier, "INT32"), self.const(f"{name}/shift", shift, "INT8"),
+        operands = [x, self.const(f"{name}/multiplier", multiplier, "INT32"),
+                    self.const(f"{name}/shift", shift, "INT8"),
                     self.const(f"{name}/input_zp", [input_zp], x.dtype),
                     self.const(f"{name}/output_zp", [output_zp], dtype)]
         return self._emit("RESCALE", name, operands, x.shape, dtype, scale32=True, rounding_mode=SINGLE_ROUND,

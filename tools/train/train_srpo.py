@@ -2,8 +2,8 @@
 """Trains SRPO on procedural pictures; no ground-truth offsets, only the high-resolution pictures.
 
 Loss: 1 - SSIM between the bilinearly projected and the high-resolution picture; with --fused, a second stage,
-between the displayed picture (rounded, masked, mixed with Lanczos) and the high-resolution one. Adam (0.9, 0.99), the rate
-halved every 7/40 of the run. Batches are a function of (seed, step), so a resumed run continues with the
+between the displayed picture (rounded, masked, mixed with Lanczos) and the high-resolution one. Adam (0.9, 0.99),
+the rate halved every 7/40 of the run. Batches are a function of (seed, step), so a resumed run continues with the
 same bits as one that was never stopped, given the same machine and thread count.
 Source: SRPO (ECCV 2022), training; the reduced step count, crops, augmentation and second stage are ours.
 
@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -73,13 +74,46 @@ def save_atomically(state: dict, path: Path) -> None:
     os.replace(temporary, path)
 
 
+def load_checkpoint(path: Path) -> dict:
+    """A checkpoint of an own run (a pickle). Errors: ValueError, OSError."""
+    try:
+        state = torch.load(path, map_location="cpu")
+        if not {"model", "optimizer", "step", "record"} <= set(state):
+            raise ValueError("fields are missing")
+        return state
+    except OSError:
+        raise
+    except Exception as error:  # torch raises many kinds for a file that is no checkpoint
+        raise ValueError(f"{path}: not a checkpoint ({type(error).__name__})") from None
+
+
+class Interruption:
+    """Turns Ctrl-C into a flag, so that it takes effect between two steps."""
+
+    def __init__(self):
+        self.asked = False
+
+    def __enter__(self) -> "Interruption":
+        self._previous = signal.signal(signal.SIGINT, self._ask)
+        return self
+
+    def __exit__(self, *_) -> None:
+        signal.signal(signal.SIGINT, self._previous)
+
+    def _ask(self, *_) -> None:
+        self.asked = True
+
+
 def learning_rate(base: float, step: int, steps: int) -> float:
     """Halved every 7/40 of the run, as in 40,000 steps with a halving every 7,000."""
     return base * 0.5 ** int(step * 40 / (7 * steps))
 
 
 def train(options: argparse.Namespace, report=print, stop_after: int | None = None) -> dict:
-    """Runs until options.steps (or stop_after) and returns the final checkpoint. Errors: ValueError."""
+    """Runs until options.steps (or stop_after) and returns the final checkpoint.
+
+    Errors: ValueError, OSError; KeyboardInterrupt after Ctrl-C, with the checkpoint written.
+    """
     torch.manual_seed(options.seed)
     torch.set_num_threads(1)
     model = srpo.Srpo(options.scale)
@@ -89,17 +123,18 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
     record = {
         "scale": options.scale, "steps": options.steps, "batch": options.batch, "crop": options.crop,
         "pictures": options.pictures, "picture_size": PICTURE_SIZE, "seed": options.seed, "lr": options.lr,
-        "noise": options.noise,
+        "noise": options.noise, "rest": options.rest,
         "loss": "1 - SSIM of the displayed picture" if options.fused else "1 - SSIM of the projection",
         "starts_from": "random", "seconds": 0.0,
     }
     options.out.mkdir(parents=True, exist_ok=True)
     path, start = options.out / "last.pt", 0
     if options.resume:
-        state = torch.load(path, map_location="cpu")
+        state = load_checkpoint(path)
         for key, value in record.items():
-            if key not in ("seconds", "starts_from") and state["record"][key] != value:
-                raise ValueError(f"{path}: checkpoint has {key} {state['record'][key]}, the run asks {value}")
+            found = state["record"].get(key)
+            if key not in ("seconds", "starts_from") and found != value:
+                raise ValueError(f"{path}: checkpoint has {key} {found}, the run asks {value}")
         model.load_state_dict(state["model"])
         optimizer.load_state_dict(state["optimizer"])
         record, start = state["record"], state["step"]
@@ -107,6 +142,7 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
         first, earlier = srpo.load_model(options.init)
         model.load_state_dict(first.state_dict())
         record["starts_from"] = earlier
+    show = srpo.fuse_straight_through if options.fused else srpo.project_bilinear
     pictures = Pictures(options.pictures, options.seed * 1000, options.scale)
     report(f"seed {options.seed}, step {start} of {options.steps}")
 
@@ -119,8 +155,8 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
 
     step = start
     end = options.steps if stop_after is None else min(stop_after, options.steps)
-    try:
-        while step < end:
+    with Interruption() as interruption:
+        while step < end and not interruption.asked:
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(options.lr, step, options.steps)
             lr, hr = pictures.batch(options.seed, step, options.batch, options.crop)
@@ -128,8 +164,9 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
             if options.noise:
                 generator = torch.Generator().manual_seed(options.seed * 1_000_003 + step)
                 offsets = offsets + (torch.rand(offsets.shape, generator=generator) - 0.5) * options.noise
-            picture = (srpo.fuse_straight_through if options.fused else srpo.project_bilinear)(lr, offsets, options.scale)
-            loss = srpo.ssim_loss(picture, hr)
+            loss = srpo.ssim_loss(show(lr, offsets, options.scale), hr)
+            if options.rest:
+                loss = loss + options.rest * srpo.moved_softly(offsets).mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -139,12 +176,11 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
             if step % options.every == 0:
                 save_atomically(state_at(step), path)
                 report(f"step {step}/{options.steps} loss {mean_loss:.5f} {record['seconds']:.0f} s")
-    except KeyboardInterrupt:
-        save_atomically(state_at(step), path)
-        report(f"stopped at step {step}; continue with --resume")
-        raise
     state = state_at(step)
     save_atomically(state, path)
+    if interruption.asked:
+        report(f"stopped at step {step}; continue with --resume")
+        raise KeyboardInterrupt
     return state
 
 
@@ -166,6 +202,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
                              "boundary (default: 0)")
     parser.add_argument("--fused", action="store_true",
                         help="loss on the displayed picture instead of the projection alone (second stage)")
+    parser.add_argument("--rest", type=float, default=0.0,
+                        help="weight of the share of moved pixels in the loss, so that flat areas stay Lanczos "
+                             "(default: 0)")
     parser.add_argument("--init", type=Path, help="checkpoint to start the weights from")
     parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
     parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
@@ -176,8 +215,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name, (low, high) in limits.items():
         if not low <= getattr(options, name) <= high:
             raise ValueError(f"--{name} must lie in {low} to {high}, found {getattr(options, name)}")
-    if not 0 < options.lr < 1 or not 0 <= options.noise <= 2:
-        raise ValueError(f"--lr must lie in (0, 1) and --noise in [0, 2], found {options.lr}, {options.noise}")
+    for name, high in {"lr": 1, "noise": 2, "rest": 1}.items():
+        if not 0 <= getattr(options, name) <= high:
+            raise ValueError(f"--{name} must lie in 0 to {high}, found {getattr(options, name)}")
     return options
 
 
@@ -196,6 +236,8 @@ def main(arguments: list[str] | None = None) -> int:
         record = options.out / "record.json"
         record.write_text(json.dumps(state["record"], indent=1, sort_keys=True) + "\n")
     except KeyboardInterrupt:
+        if sys.stdout.isatty():
+            print()
         return 130
     except (ValueError, OSError) as error:
         print(f"train_srpo: error: {error}", file=sys.stderr)

@@ -246,8 +246,8 @@ class Writer(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "graph.tosa"
             path.write_bytes(graph.pack())
-            subprocess.run(["flatc", "--json", "--strict-json", "--raw-binary", "-o", folder, str(schema), "--", str(path)],
-                           check=True, capture_output=True)
+            subprocess.run(["flatc", "--json", "--strict-json", "--raw-binary", "-o", folder, str(schema), "--",
+                            str(path)], check=True, capture_output=True)
             block = json.loads((Path(folder) / "graph.json").read_text())["regions"][0]["blocks"][0]
         self.assertEqual([o["op"] for o in block["operators"]], graph.operators(constants=True))
         by_result = {o["outputs"][0]: o for o in block["operators"]}
@@ -354,9 +354,12 @@ class Training(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             junk = Path(folder) / "junk.pt"
             junk.write_bytes(b"junk")
+            (Path(folder) / "bad").mkdir()
+            (Path(folder) / "bad" / "last.pt").write_bytes(b"junk")
             for run, arguments in (
                 (train_srpo.main, ["--scale", "2", "--crop", "4", "--out", folder]),
                 (train_srpo.main, ["--scale", "2", "--resume", "--out", Path(folder) / "none"]),
+                (train_srpo.main, ["--scale", "2", "--pictures", "1", "--resume", "--out", Path(folder) / "bad"]),
                 (train_srpo.main, ["--scale", "3", "--pictures", "1", "--init", junk, "--out", folder]),
                 (export_srpo.main, ["--weights", Path(folder) / "none.npz", "--out", folder]),
                 (export_srpo.main, ["--weights", junk, "--out", folder]),
