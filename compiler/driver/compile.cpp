@@ -145,6 +145,7 @@ class VariantBuilder {
         const KernelSource& source = sources[part];
         Dispatch dispatch;
         dispatch.name = part == 0 ? name : fmt::format("{}#{}", name, part);
+        while (part > 0 && graph_.find_value(dispatch.name)) dispatch.name += '#';  // a value may be called so
         dispatch.kernel = family.name;
         dispatch.workgroups = source.workgroups;
         dispatch.cost = share(problem.cost, time_us, sources.size());
@@ -369,6 +370,11 @@ Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& o
 }
 
 Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& options) {
+  for (const std::string& kernel : options.kernels) {
+    const auto known = all_kernels();
+    if (std::none_of(known.begin(), known.end(), [&](const KernelFamily& family) { return family.name == kernel; }))
+      return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
+  }
   Compiled compiled;
   SHALE_TRY(compiled.timings, run_pipeline(graph, options.passes, options.pass_options));
   give_outputs_nodes(graph);
@@ -403,6 +409,7 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
   compiled.kernels_ms = elapsed.count();
   compiled.package.provenance = {model_hash, options.model_name, kCompilerVersion, options_text(options)};
   compiled.package.weights = std::move(blob.blob);
+  SHALE_TRY_VOID(check_package(compiled.package));  // names, for one, come from the model as they are
   compiled.graph = std::move(graph);
   return compiled;
 }

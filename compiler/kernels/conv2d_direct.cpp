@@ -62,11 +62,11 @@ struct Tile {
   int64_t height, width;
 };
 
-Tile tile_of(int64_t channels) {
+/// `products` are those of one channel of one pixel; a tile multiplies the code, so a module bounds it too.
+Tile tile_of(int64_t channels, int64_t products) {
   if (channels > 8) return {1, 1};
-  if (channels > 4) return {1, 2};
-  if (channels > 2) return {2, 2};
-  return channels == 2 ? Tile{2, 4} : Tile{4, 4};
+  const Tile tile = channels > 4 ? Tile{1, 2} : channels > 2 ? Tile{2, 2} : channels == 2 ? Tile{2, 4} : Tile{4, 4};
+  return tile.height * tile.width * channels * products <= kModuleProducts ? tile : Tile{1, 1};
 }
 
 /// Output channels in a module: multiples of kPass as far as kModuleProducts allows.
@@ -90,7 +90,7 @@ bool direct_supports(const GroupProblem& problem, const DeviceProfile& profile) 
   if (products_per_channel(problem) * std::min(per_module, kPass) > 4 * kModuleProducts) return false;
   if ((channels + per_module - 1) / per_module > kMaxModules) return false;
   const Shape& out = graph.value(node.output).type.shape;
-  const Tile tile = tile_of(channels);
+  const Tile tile = tile_of(channels, products_per_channel(problem));
   const auto fits_grid = [](int64_t extent, int64_t each) { return (extent + each - 1) / each <= kMaxWorkgroups; };
   if (!fits_grid(out[2], kLocalX * tile.width) || !fits_grid(out[1], tile.height) || !fits_grid(out[0], 1)) return false;
   const std::vector<std::optional<NodeId>> producers = graph.producers();
@@ -123,7 +123,7 @@ class DirectEmitter {
       : problem_(problem), graph_(*problem.graph), node_(head_of(problem)), float_(use_float),
         weight_(*graph_.value(node_.inputs[1]).constant), producers_(graph_.producers()) {
     const std::vector<int64_t> leaves = leaf_channels(problem, node_.inputs[0], producers_);
-    tile_ = tile_of(graph_.value(node_.output).type.shape[3]);
+    tile_ = tile_of(graph_.value(node_.output).type.shape[3], products_per_channel(problem));
     lanes_ = std::all_of(leaves.begin(), leaves.end(), [](int64_t c) { return c % 4 == 0; }) ? 4 : 1;
   }
 

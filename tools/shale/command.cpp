@@ -59,10 +59,11 @@ Error in_file(const std::string& file, Error error) {
   return error;
 }
 
-void print_json(const Json& json) {
-  // Names come from files; what is not UTF-8 is replaced, not thrown at the user.
-  fmt::print("{}\n", json.dump(2, ' ', false, Json::error_handler_t::replace));
+std::string json_text(const Json& json) {
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
+
+void print_json(const Json& json) { fmt::print("{}", json_text(json)); }
 
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path) {
   ModelFiles model;

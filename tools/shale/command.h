@@ -89,6 +89,8 @@ Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& op
 /// Puts `file` in front of an error's location.
 Error in_file(const std::string& file, Error error);
 
+/// Indented, with a newline at the end. Names come from files: what is not UTF-8 is replaced.
+std::string json_text(const Json& json);
 void print_json(const Json& json);
 
 }  // namespace shale

@@ -38,9 +38,6 @@ std::string per_pixel_text(double count) {
 
 std::string percent_text(double share) { return fmt::format("{:.1f} %", 100 * share); }
 
-/// Names come from files, so they may be no UTF-8, which plain dump() would abort on.
-void print_report(const Json& json) { fmt::print("{}\n", json.dump(2, ' ', false, Json::error_handler_t::replace)); }
-
 Json verdict_json(const Verdict& verdict, const Budget& budget) {
   const auto finite = [](double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); };
   return {{"frame_ms", budget.frame_ms},
@@ -330,7 +327,7 @@ Result<int> report_files(const Arguments& arguments) {
     entry.update(*report);
     json.push_back(std::move(entry));
   }
-  if (arguments.json) print_report({{"files", std::move(json)}});
+  if (arguments.json) print_json({{"files", std::move(json)}});
   return kDone;
 }
 
@@ -440,7 +437,7 @@ Result<int> report_cost_table(const Arguments& arguments) {
     else if (arguments.json) json["graph_error"] = graph.error().text();
     else fmt::print("no INT8 graph: {}\n", graph.error().text());
   }
-  if (arguments.json) print_report(json);
+  if (arguments.json) print_json(json);
   return exit;
 }
 

@@ -138,7 +138,7 @@ Result<int> run(const Arguments& arguments) {
     json["dispatches"].push_back({{"name", time.name}, {"kernel", time.kernel}, {"time_us", time.time_us}});
   }
   if (measure) json["total_us"] = total_us;
-  if (!arguments.profile_file.empty()) SHALE_TRY_VOID(write_text(arguments.profile_file, json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n"));
+  if (!arguments.profile_file.empty()) SHALE_TRY_VOID(write_text(arguments.profile_file, json_text(json)));
   if (arguments.json) {
     print_json(json);
     return exit;

@@ -1,0 +1,383 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+
+#include "compiler/driver/compile.h"
+#include "ir/base/hash.h"
+#include "tests/compiler/conv_case.h"
+#include "tests/compiler/graph_support.h"
+
+namespace shale {
+namespace {
+
+CompileOptions fast_options() {
+  CompileOptions options;
+  options.optimize_spirv = false;
+  return options;
+}
+
+Result<Compiled> compile_text(const std::string& text, const CompileOptions& options = fast_options()) {
+  return compile({reinterpret_cast<const uint8_t*>(text.data()), text.size()}, options);
+}
+
+const std::vector<Dispatch>& graph_dispatches(const Compiled& compiled, size_t variant = 0) {
+  for (const Segment& segment : compiled.package.variants[variant].segments)
+    if (segment.kind == SegmentKind::kGraph) return segment.dispatches;
+  static const std::vector<Dispatch> none;
+  return none;
+}
+
+/// "name:category" of every input and output.
+std::vector<std::string> interface_of(const Variant& variant) {
+  std::vector<std::string> names;
+  for (const Resource& resource : variant.resources)
+    if (resource.category == Category::kInput || resource.category == Category::kOutput)
+      names.push_back(resource.name + (resource.category == Category::kInput ? ":in" : ":out"));
+  return names;
+}
+
+constexpr const char* kSmall = R"(graph main {
+  input %x : i32[2,3]
+  const %c : i32[2,3] = [1,2,3,4,5,6]
+  %sum = add %x, %c : i32[2,3]
+  %top = reduce_max %sum {axis=0} : i32[1,3]
+  return %top
+})";
+
+TEST(Driver, GivesTheSameBytesTwice) {
+  CompileOptions options;
+  options.targets = {"lavapipe", "generic-gpu"};
+  for (const ConvCase& row : edge_conv_cases()) {
+    if (row.name != "table_oc17" && row.name != "pad_of_concat_of_resize" && row.name != "residual_oc5") continue;
+    for (const bool optimize : {true, false}) {
+      options.pass_options.optimize = optimize;
+      const Compiled first = must(compile_graph(row.graph(), 1, options)), second = must(compile_graph(row.graph(), 1, options));
+      EXPECT_EQ(write_package(first.package), write_package(second.package)) << row.name;
+    }
+  }
+}
+
+TEST(Driver, WritesPackagesThatReadBackEqual) {
+  CompileOptions options = fast_options();
+  options.targets = {"lavapipe", "generic-gpu"};
+  for (const ConvCase& row : edge_conv_cases()) {
+    if (row.name == "several_modules" || row.name == "beyond_float") continue;  // large, and no different here
+    const Compiled compiled = must(compile_graph(row.graph(), 7, options), row.name);
+    EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
+    EXPECT_TRUE(must(read_package(write_package(compiled.package))) == compiled.package) << row.name;
+  }
+}
+
+TEST(Driver, RecordsWhereAPackageComesFrom) {
+  CompileOptions options = fast_options();
+  options.model_name = "small";
+  options.kernels = {"generic"};
+  const Compiled compiled = must(compile_text(kSmall, options));
+  const std::string text = kSmall;
+  EXPECT_EQ(compiled.package.provenance.model_hash, stable_hash({reinterpret_cast<const uint8_t*>(text.data()), text.size()}));
+  EXPECT_EQ(compiled.package.provenance.model_name, "small");
+  EXPECT_EQ(compiled.package.provenance.options, "optimize=true kernels=[generic] spirv_opt=false");
+}
+
+TEST(Driver, RefusesWhatItDoesNotKnow) {
+  CompileOptions options = fast_options();
+  options.targets = {"lavapipe", "abacus"};
+  EXPECT_EQ(error_text(compile_text(kSmall, options)), "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu");
+  options = fast_options();
+  options.kernels = {"generic", "conv2d_s8_abacus"};
+  EXPECT_EQ(error_text(compile_text(kSmall, options)), "--kernels: \"conv2d_s8_abacus\" is no kernel family");
+  EXPECT_NE(error_text(compile_text("a picture of a graph")).find("is no model"), std::string::npos);
+  EXPECT_NE(error_text(compile_text("graph main {")).find("line 1"), std::string::npos);
+}
+
+TEST(Driver, StopsWhenAsked) {
+  CompileOptions options = fast_options();
+  options.pass_options.optimize = false;
+  size_t calls = 0;
+  options.progress = [&](size_t done, size_t total) {
+    ++calls;
+    EXPECT_EQ(done, calls);
+    EXPECT_EQ(total, 2u);
+    return true;
+  };
+  ASSERT_TRUE(compile_text(kSmall, options));
+  EXPECT_EQ(calls, 2u);
+  calls = 0;
+  options.progress = [&](size_t, size_t) { return ++calls < 1; };
+  EXPECT_EQ(error_text(compile_text(kSmall, options)), "interrupted");
+  EXPECT_EQ(calls, 1u);
+}
+
+TEST(Driver, CopiesConstantsInputsAndRepeatsThatAreOutputs) {
+  const Compiled compiled = must(compile_text(R"(graph main {
+  input %x : i8[2]
+  const %c : i8[3] = [1,2,3]
+  %y = bitwise_not %x : i8[2]
+  return %x, %c, %y, %y, %c
+})"));
+  EXPECT_EQ(interface_of(compiled.package.variants[0]),
+            (std::vector<std::string>{"x:in", "x.1:out", "c.1:out", "y:out", "y.1:out", "c.2:out"}));
+  EXPECT_EQ(graph_dispatches(compiled).size(), 5u);
+  EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
+}
+
+TEST(Driver, KeepsInputsThatNothingReads) {
+  const Compiled compiled = must(compile_text("graph main {\n input %x : i8[2]\n input %unused : i48[5]\n %y = bitwise_not %x : i8[2]\n return %y\n}"));
+  EXPECT_EQ(interface_of(compiled.package.variants[0]), (std::vector<std::string>{"x:in", "unused:in", "y:out"}));
+}
+
+TEST(Driver, MakesAVariantForEachTarget) {
+  CompileOptions options = fast_options();
+  options.targets = {"generic-gpu", "lavapipe"};
+  const Compiled both = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, options));
+  ASSERT_EQ(both.package.variants.size(), 2u);
+  EXPECT_EQ(both.package.variants[0].target, "generic-gpu");
+  EXPECT_EQ(both.package.variants[1].target, "lavapipe");
+  EXPECT_EQ(graph_dispatches(both, 0)[0].kernel, "generic");
+  EXPECT_EQ(graph_dispatches(both, 1)[0].kernel, "conv2d_s8_f32exact");
+  options.targets = {"generic-gpu"};
+  const Compiled one = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, options));
+  EXPECT_TRUE(one.package.variants[0] == both.package.variants[0]);
+  // The second variant adds no weights: its own are in the code or lie there already.
+  EXPECT_EQ(one.package.weights, both.package.weights);
+}
+
+TEST(Driver, SharesModulesOfEqualContent) {
+  // Four nodes of one shape: two sources in all. Names of values do not reach the words.
+  CompileOptions options = fast_options();
+  options.pass_options.optimize = false;
+  const Compiled compiled = must(compile_text(R"(graph main {
+  input %x : i32[5]
+  %a = abs %x : i32[5]
+  %b = clz %a : i32[5]
+  %c = abs %b : i32[5]
+  %d = clz %c : i32[5]
+  return %d
+})", options));
+  const std::vector<Dispatch>& dispatches = graph_dispatches(compiled);
+  ASSERT_EQ(dispatches.size(), 4u);
+  EXPECT_EQ(compiled.package.variants[0].modules.size(), 2u);
+  EXPECT_EQ(dispatches[0].module, dispatches[2].module);
+  EXPECT_EQ(dispatches[1].module, dispatches[3].module);
+  EXPECT_NE(dispatches[0].module, dispatches[1].module);
+}
+
+TEST(Driver, StoresEqualWeightsOnce) {
+  CompileOptions options = fast_options();
+  options.pass_options.optimize = false;
+  options.kernels = {"generic"};
+  const Compiled compiled = must(compile_text(R"(graph main {
+  input %x : i32[3]
+  const %a : i32[3] = [1,2,3]
+  const %b : i32[3] = [1,2,3]
+  %c = add %x, %a : i32[3]
+  %d = sub %c, %b : i32[3]
+  return %d
+})", options));
+  EXPECT_EQ(compiled.package.weights.size(), 12u);
+}
+
+TEST(Driver, ReusesTheArena) {
+  CompileOptions options = fast_options();
+  options.pass_options.optimize = false;
+  std::string text = "graph main {\n  input %v0 : i32[100]\n";
+  for (int i = 1; i <= 6; ++i) text += fmt::format("  %v{} = {} %v{} : i32[100]\n", i, i % 2 == 0 ? "abs" : "clz", i - 1);
+  const Compiled compiled = must(compile_text(text + "  return %v6\n}", options));
+  EXPECT_EQ(compiled.package.variants[0].arena_bytes, 1024u);  // two of five at a time
+  EXPECT_EQ(compiled.arena_lower_bound_bytes, 1024u);
+}
+
+TEST(Driver, RefusesNamesThatNoPackageMayHave) {
+  EXPECT_NE(error_text(compile_text("graph main {\n input %\"a\\x0ab\" : i8[2]\n %y = bitwise_not %\"a\\x0ab\" : i8[2]\n return %y\n}"))
+                .find("control characters"),
+            std::string::npos);
+}
+
+TEST(Driver, KeepsNamesOfPartsApartFromNamesOfValues) {
+  // A convolution in three modules is called y, y#1 and y#2.
+  for (const ConvCase& row : edge_conv_cases()) {
+    if (row.name != "several_modules") continue;
+    Graph graph = row.graph();
+    const ValueId x = graph.inputs[0];
+    graph.outputs.push_back(graph.add_node(Op::kBitwiseNot, {}, {x}, "clamped#1", graph.value(x).type));
+    const Compiled compiled = must(compile_graph(graph, 0, fast_options()));
+    ASSERT_EQ(graph_dispatches(compiled).size(), 4u);
+    EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
+  }
+}
+
+TEST(Driver, AppliesInputShapes) {
+  CompileOptions options = fast_options();
+  options.passes.input_shapes = {{"x", {1, 6, 8, 3}}};
+  const Compiled compiled = must(compile_text("graph main {\n input %x : i8[1,?,?,3]\n %y = bitwise_not %x : i8[1,?,?,3]\n return %y\n}", options));
+  EXPECT_EQ(compiled.package.variants[0].resources[1].shape, (Shape{1, 6, 8, 3}));
+  EXPECT_EQ(compiled.package.provenance.options, "optimize=true kernels=[] spirv_opt=false x=[1,6,8,3]");
+}
+
+// frame.json
+
+constexpr const char* kFrame = R"({
+  "schema": "shale-frame/1",
+  "images": [
+    {"name": "color", "role": "input", "format": "rgba8_unorm", "scale": 1},
+    {"name": "shown", "role": "output", "format": "rgba8_unorm", "scale": 2},
+    {"name": "kept", "role": "history", "format": "rgba16_float", "scale": 1, "depth": 3}
+  ],
+  "tensors": [{"name": "x", "scale": 0.5, "zero_point": -3}],
+  "passes": [
+    {"name": "pre", "shader": "pre.comp", "over": "color", "workgroup": [8, 4], "bindings": [
+      {"binding": 0, "image": "color", "access": "read"},
+      {"binding": 1, "image": "kept", "access": "read", "frames_back": 2},
+      {"binding": 2, "tensor": "x", "access": "write"}]},
+    {"graph": "main"},
+    {"name": "post", "shader": "post.comp", "over": "shown", "bindings": [
+      {"binding": 0, "tensor": "y", "access": "read"},
+      {"binding": 1, "image": "shown", "access": "write"},
+      {"binding": 2, "image": "kept", "access": "write"}]}
+  ]
+})";
+
+TEST(FrameJson, ReadsEveryField) {
+  const Frame frame = must(parse_frame(kFrame));
+  ASSERT_EQ(frame.images.size(), 3u);
+  EXPECT_EQ(frame.images[0].name, "color");
+  EXPECT_EQ(frame.images[0].category, Category::kImageInput);
+  EXPECT_EQ(frame.images[0].format, ImageFormat::kRgba8Unorm);
+  EXPECT_EQ(frame.images[1].category, Category::kImageOutput);
+  EXPECT_EQ(frame.images[1].scale, 2.0);
+  EXPECT_EQ(frame.images[2].category, Category::kImageHistory);
+  EXPECT_EQ(frame.images[2].history_depth, 3u);
+  ASSERT_EQ(frame.tensors.size(), 1u);
+  EXPECT_EQ(frame.tensors[0].quantization, (Quantization{0.5f, -3}));
+  ASSERT_EQ(frame.passes.size(), 3u);
+  EXPECT_EQ(frame.passes[0].workgroup[0], 8u);
+  EXPECT_EQ(frame.passes[0].workgroup[1], 4u);
+  ASSERT_EQ(frame.passes[0].bindings.size(), 3u);
+  EXPECT_EQ(frame.passes[0].bindings[1].frames_back, 2u);
+  EXPECT_TRUE(frame.passes[0].bindings[1].is_image && frame.passes[0].bindings[1].reads && !frame.passes[0].bindings[1].writes);
+  EXPECT_TRUE(!frame.passes[0].bindings[2].is_image && frame.passes[0].bindings[2].writes);
+  EXPECT_TRUE(frame.passes[1].is_graph);
+}
+
+TEST(FrameJson, NamesTheFieldThatIsWrong) {
+  struct Row {
+    const char *from, *to, *message;
+  };
+  const Row rows[] = {
+      {"\"schema\": \"shale-frame/1\"", "\"schema\": \"shale-frame/2\"", "frame: schema \"shale-frame/2\" is unknown"},
+      {"\"schema\": \"shale-frame/1\",", "", "frame: \"schema\" must be a text"},
+      {"\"name\": \"color\"", "\"name\": \"\"", "frame.images[0]: \"name\" must be a text"},
+      {"\"name\": \"color\"", "\"name\": \"2color\"", "frame.images[0]: the name \"2color\" is no identifier"},
+      {"\"name\": \"color\"", "\"name\": \"col or\"", "frame.images[0]: the name \"col or\" is no identifier"},
+      {"\"role\": \"input\"", "\"role\": \"in\"", "frame.images[0]: role \"in\" is none of"},
+      {"\"role\": \"input\",", "", "frame.images[0]: \"role\" must be a text"},
+      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba9\", \"scale\": 1}", "frame.images[0]: format \"rgba9\" is no image format"},
+      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba8_sint\", \"scale\": 1}", "frame.images[0]: format \"rgba8_sint\" is no image format"},
+      {"\"scale\": 2", "\"scale\": 17", "frame.images[1]: \"scale\" is 17"},
+      {"\"scale\": 2", "\"scale\": 0", "frame.images[1]: \"scale\" is 0"},
+      {"\"scale\": 2", "\"scale\": \"2\"", "frame.images[1]: \"scale\" must be a number"},
+      {"\"depth\": 3", "\"depth\": 1", "frame.images[2]: \"depth\" is 1"},
+      {"\"depth\": 3", "\"depth\": 2.5", "frame.images[2]: \"depth\" is 2.5, expected an integer"},
+      {"\"scale\": 0.5", "\"scale\": 0", "frame.tensors[0]: \"scale\" is 0"},
+      {"\"scale\": 0.5,", "", "frame.tensors[0]: \"scale\" must be a number"},
+      {"\"zero_point\": -3", "\"zero_point\": 65536", "frame.tensors[0]: \"zero_point\" is 65536"},
+      {"{\"name\": \"x\",", "{", "frame.tensors[0]: \"name\" must be a text"},
+      {"\"name\": \"pre\"", "\"name\": \"p-r-e\"", "frame.passes[0]: the name \"p-r-e\" is no identifier"},
+      {"\"shader\": \"pre.comp\",", "", "frame.passes[0]: \"shader\" must be a text"},
+      {"\"over\": \"color\",", "", "frame.passes[0]: \"over\" must be a text"},
+      {"[8, 4]", "[8]", "frame.passes[0]: \"workgroup\" must be two whole numbers"},
+      {"[8, 4]", "[8, -4]", "frame.passes[0]: \"workgroup\" must be two whole numbers"},
+      {"[8, 4]", "[8, 33]", "frame.passes[0]: workgroup size 33 is outside 1..32"},
+      {"[8, 4]", "[0, 4]", "frame.passes[0]: workgroup size 0 is outside 1..32"},
+      {"\"binding\": 1, \"image\": \"kept\"", "\"binding\": 64, \"image\": \"kept\"", "frame.passes[0].bindings[1]: \"binding\" is 64"},
+      {"\"binding\": 1, \"image\": \"kept\"", "\"binding\": 0, \"image\": \"kept\"", "frame.passes[0].bindings[1]: binding 0 is used twice"},
+      {"\"image\": \"kept\", \"access\": \"read\"", "\"access\": \"read\"", "frame.passes[0].bindings[1]: \"tensor\" must be a text"},
+      {"\"image\": \"kept\", \"access\": \"read\"", "\"image\": 5, \"access\": \"read\"", "frame.passes[0].bindings[1]: \"image\" must be a text"},
+      {"\"access\": \"read\", \"frames_back\"", "\"access\": \"both\", \"frames_back\"", "frame.passes[0].bindings[1]: access \"both\" is neither"},
+      {"\"frames_back\": 2", "\"frames_back\": 8", "frame.passes[0].bindings[1]: \"frames_back\" is 8"},
+      {"\"access\": \"read\", \"frames_back\"", "\"access\": \"write\", \"frames_back\"", "only this frame's image can be written"},
+      {"{\"graph\": \"main\"},", "", "frame.passes: exactly one entry must be {\"graph\": ...}"},
+      {"{\"graph\": \"main\"},", "{\"graph\": \"a\"}, {\"graph\": \"b\"},", "frame.passes: exactly one entry must be {\"graph\": ...}"},
+      {"\"images\": [", "\"images\": 3, \"other\": [", "frame: \"images\" must be a list of at most 64 entries"},
+      {"\"passes\": [", "\"passes\": {}, \"other\": [", "frame: \"passes\" must be a list of at most 64 entries"},
+      {"{\"graph\": \"main\"},", "7, {\"graph\": \"main\"},", "frame.passes[1]: \"name\" must be a text"},
+  };
+  for (const Row& row : rows) {
+    const std::string text = replaced(kFrame, row.from, row.to);
+    ASSERT_NE(text, kFrame) << row.from;
+    const std::string error = error_text(parse_frame(text));
+    EXPECT_NE(error.find(row.message), std::string::npos) << "expected: " << row.message << "\nfound:    " << error;
+  }
+  EXPECT_EQ(error_text(parse_frame("")), "is not valid JSON");
+  EXPECT_EQ(error_text(parse_frame("[]")), "is not valid JSON");
+  EXPECT_EQ(error_text(parse_frame(std::string(kFrame, 300))), "is not valid JSON");
+}
+
+TEST(FrameJson, SurvivesEveryCut) {
+  const std::string text = kFrame;
+  for (size_t length = 0; length < text.size(); ++length) EXPECT_FALSE(parse_frame(text.substr(0, length))) << length;
+}
+
+class SandwichTest : public testing::Test {
+ protected:
+  static CompileOptions options(const std::string& json) {
+    CompileOptions options = fast_options();
+    options.frame = must(parse_frame(json));
+    options.load_shader = [](const std::string& path) -> Result<std::string> {
+      if (path == "pre.comp")
+        return std::string(R"(#version 450
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0) uniform texture2D color;
+layout(set = 0, binding = 1) uniform texture2D kept;
+layout(set = 0, binding = 2, std430) writeonly buffer X { int d[]; } x;
+void main() {
+  if (gl_GlobalInvocationID.x >= X_WIDTH || gl_GlobalInvocationID.y >= X_HEIGHT) return;
+  x.d[0] = int(X_SCALE * float(X_ZERO_POINT + X_CHANNELS + COLOR_WIDTH));
+})");
+      if (path == "post.comp")
+        return std::string(R"(#version 450
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0, std430) readonly buffer Y { int d[]; } y;
+layout(set = 0, binding = 1, rgba8) uniform writeonly image2D shown;
+layout(set = 0, binding = 2, rgba16f) uniform writeonly image2D kept;
+void main() { imageStore(shown, ivec2(gl_GlobalInvocationID.xy), vec4(y.d[0])); imageStore(kept, ivec2(0), vec4(0)); })");
+      return io_error(path, "cannot be read");
+    };
+    return options;
+  }
+  static constexpr const char* kNetwork = "graph main {\n input %x : i8[1,6,10,4]\n %y = bitwise_not %x : i8[1,6,10,4]\n return %y\n}";
+  static std::string error_of(const std::string& from, const std::string& to) {
+    const std::string text = replaced(kFrame, from, to);
+    EXPECT_NE(text, kFrame);
+    return error_text(compile_text(kNetwork, options(text)));
+  }
+};
+
+TEST_F(SandwichTest, PutsPassesAroundTheNetwork) {
+  const Compiled compiled = must(compile_text(kNetwork, options(kFrame)));
+  const Variant& variant = compiled.package.variants[0];
+  ASSERT_EQ(variant.segments.size(), 3u);
+  EXPECT_EQ(variant.segments[0].kind, SegmentKind::kCompute);
+  EXPECT_EQ(variant.segments[1].kind, SegmentKind::kGraph);
+  EXPECT_EQ(variant.segments[2].name, "post");
+  EXPECT_EQ(variant.segments[0].dispatches[0].workgroups, (std::array<uint32_t, 3>{2, 2, 1}));  // 10x6 by 8x4
+  EXPECT_EQ(variant.segments[2].dispatches[0].workgroups, (std::array<uint32_t, 3>{3, 2, 1}));  // 20x12 by 8x8
+  EXPECT_TRUE(must(read_package(write_package(compiled.package))) == compiled.package);
+}
+
+TEST_F(SandwichTest, NamesWhatDoesNotFitTogether) {
+  EXPECT_NE(error_of("\"over\": \"color\"", "\"over\": \"colour\"").find("pass \"pre\": there is no image \"colour\""), std::string::npos);
+  EXPECT_NE(error_of("\"tensor\": \"y\"", "\"tensor\": \"z\"").find("there is no graph input or output \"z\""), std::string::npos);
+  EXPECT_NE(error_of("\"image\": \"color\", \"access\": \"read\"", "\"image\": \"color\", \"access\": \"write\"").find("writes \"color\""),
+            std::string::npos);
+  EXPECT_NE(error_of("\"frames_back\": 2", "\"frames_back\": 3").find("3 frames back, its history is 3 deep"), std::string::npos);
+  EXPECT_NE(error_of("\"name\": \"shown\"", "\"name\": \"color\"").find("the name \"color\" is used twice"), std::string::npos);
+  EXPECT_NE(error_of("pre.comp", "missing.comp").find("missing.comp: cannot be read"), std::string::npos);
+}
+
+TEST_F(SandwichTest, NeedsAnImageNetwork) {
+  EXPECT_NE(error_text(compile_text(kSmall, options(kFrame))).find("a sandwich needs a network whose first input is NHWC"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace shale
