@@ -18,7 +18,9 @@ namespace {
 
 constexpr int64_t kFloatExact = int64_t{1} << 24;
 constexpr int64_t kPass = 16;             ///< sums kept live
-constexpr int64_t kModuleProducts = 9216; ///< products in a module: bounds the driver's compile time
+/// Most products in a module: bounds the driver's compile time, which grows faster than the code, and in integer
+/// arithmetic much faster (16,500 integer products took it six minutes).
+constexpr int64_t kFloatProducts = 9216, kIntegerProducts = 4608;
 constexpr int64_t kMaxModules = 64;
 constexpr int64_t kLocalX = 64;
 
@@ -63,20 +65,22 @@ struct Tile {
 };
 
 /// `products` are those of one channel of one pixel; a tile multiplies the code, so a module bounds it too.
-Tile tile_of(int64_t channels, int64_t products) {
+Tile tile_of(int64_t channels, int64_t products, int64_t most_products) {
   if (channels > 8) return {1, 1};
   const Tile tile = channels > 4 ? Tile{1, 2} : channels > 2 ? Tile{2, 2} : channels == 2 ? Tile{2, 4} : Tile{4, 4};
-  return tile.height * tile.width * channels * products <= kModuleProducts ? tile : Tile{1, 1};
+  return tile.height * tile.width * channels * products <= most_products ? tile : Tile{1, 1};
 }
 
-/// Output channels in a module: multiples of kPass as far as kModuleProducts allows.
-int64_t channels_per_module(const GroupProblem& problem) {
+/// Output channels in a module: as many passes as `most_products` allows, or a part of one, in fours so that results
+/// make words; 0 if not even four channels fit.
+int64_t channels_per_module(const GroupProblem& problem, int64_t most_products) {
   const int64_t channels = problem.graph->value(problem.group.result).type.shape[3];
-  const int64_t passes = std::max<int64_t>(1, kModuleProducts / (products_per_channel(problem) * kPass));
-  return std::min(channels, passes * kPass);
+  const int64_t fit = most_products / products_per_channel(problem);
+  if (fit >= channels) return channels;
+  return fit >= kPass ? fit / kPass * kPass : fit / 4 * 4;
 }
 
-bool direct_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+bool direct_supports(const GroupProblem& problem, const DeviceProfile& profile, int64_t most_products) {
   if (!profile.literal_weights || !problem.group.head) return false;
   const Graph& graph = *problem.graph;
   const Node& node = head_of(problem);
@@ -86,11 +90,10 @@ bool direct_supports(const GroupProblem& problem, const DeviceProfile& profile) 
   if (!graph.value(node.inputs[1]).is_constant() || !graph.value(node.inputs[2]).is_constant()) return false;
   if (op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView) return false;
   const int64_t channels = graph.value(problem.group.result).type.shape[3];
-  const int64_t per_module = channels_per_module(problem);
-  if (products_per_channel(problem) * std::min(per_module, kPass) > 4 * kModuleProducts) return false;
-  if ((channels + per_module - 1) / per_module > kMaxModules) return false;
+  const int64_t per_module = channels_per_module(problem, most_products);
+  if (per_module == 0 || (channels + per_module - 1) / per_module > kMaxModules) return false;
   const Shape& out = graph.value(node.output).type.shape;
-  const Tile tile = tile_of(channels, products_per_channel(problem));
+  const Tile tile = tile_of(channels, products_per_channel(problem), most_products);
   const auto fits_grid = [](int64_t extent, int64_t each) { return (extent + each - 1) / each <= kMaxWorkgroups; };
   if (!fits_grid(out[2], kLocalX * tile.width) || !fits_grid(out[1], tile.height) || !fits_grid(out[0], 1)) return false;
   const std::vector<std::optional<NodeId>> producers = graph.producers();
@@ -123,20 +126,22 @@ class DirectEmitter {
       : problem_(problem), graph_(*problem.graph), node_(head_of(problem)), float_(use_float),
         weight_(*graph_.value(node_.inputs[1]).constant), producers_(graph_.producers()) {
     const std::vector<int64_t> leaves = leaf_channels(problem, node_.inputs[0], producers_);
-    tile_ = tile_of(graph_.value(node_.output).type.shape[3], products_per_channel(problem));
+    tile_ = tile_of(graph_.value(node_.output).type.shape[3], products_per_channel(problem), most_products());
     lanes_ = std::all_of(leaves.begin(), leaves.end(), [](int64_t c) { return c % 4 == 0; }) ? 4 : 1;
   }
 
   std::vector<KernelSource> emit() {
     std::vector<KernelSource> sources;
     const int64_t channels = graph_.value(node_.output).type.shape[3];
-    const int64_t step = channels_per_module(problem_);
+    const int64_t step = channels_per_module(problem_, most_products());
     for (int64_t first = 0; first < channels; first += step)
       sources.push_back(module(first, std::min(channels, first + step)));
     return sources;
   }
 
  private:
+  int64_t most_products() const { return float_ ? kFloatProducts : kIntegerProducts; }
+
   KernelSource module(int64_t first, int64_t last) {
     Codegen codegen(problem_);
     functions_.clear();
@@ -331,7 +336,7 @@ class DirectEmitter {
 }  // namespace
 
 bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  if (!direct_supports(problem, profile) || !problem.proof) return false;
+  if (!direct_supports(problem, profile, kFloatProducts) || !problem.proof) return false;
   return std::all_of(problem.proof->magnitude.begin(), problem.proof->magnitude.end(),
                      [](int64_t bound) { return bound < kFloatExact; });
 }
@@ -345,7 +350,7 @@ Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& probl
 }
 
 bool conv2d_i32_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  return direct_supports(problem, profile);
+  return direct_supports(problem, profile, kIntegerProducts);
 }
 
 double conv2d_i32_time_us(const GroupProblem& problem, const DeviceProfile& profile) {

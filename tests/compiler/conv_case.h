@@ -58,8 +58,10 @@ struct ConvCase {
     for (int64_t i = 0; i < weights.count(); ++i)
       if (draw(0, 99) < zero_weights) weights.set(i, 0);
     const ValueId weight = g.add_constant("w", std::move(weights));
-    const ValueId bias = g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -20000, 20000));
-    const ValueId zp = scalar("zp", DType::kInt8, input_zp), wzp = scalar("wzp", DType::kInt8, weight_zp);
+    const ValueId bias =
+        g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -20000, 20000));
+    const ValueId zp = scalar("zp", DType::kInt8, input_zp),
+                  wzp = scalar("wzp", DType::kInt8, weight_zp);
     Attrs attrs;
     attrs.set(Attr::kPad, pad).set(Attr::kStride, std::vector<int64_t>{stride_y, stride_x});
     attrs.set(Attr::kDilation, std::vector<int64_t>{dilation_y, dilation_x});
@@ -67,16 +69,21 @@ struct ConvCase {
     const int64_t oh = (h - 1 + pad[0] + pad[1] - (kh - 1) * dilation_y) / stride_y + 1;
     const int64_t ow = (w - 1 + pad[2] + pad[3] - (kw - 1) * dilation_x) / stride_x + 1;
     const Shape out{n, oh, ow, oc};
-    ValueId last = g.add_node(Op::kConv2d, attrs, {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
+    ValueId last =
+        g.add_node(Op::kConv2d, attrs, {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
 
-    const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift, int64_t high_shift, int64_t out_zp) {
+    const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift,
+                             int64_t high_shift, int64_t out_zp) {
       const int64_t channels = per_channel ? oc : 1;
       const ValueId m = g.add_constant("m", tensor(DType::kInt32, {channels}, 1 << 30, INT32_MAX));
-      const ValueId s = g.add_constant("s", tensor(DType::kInt8, {channels}, low_shift, high_shift));
+      const ValueId s =
+          g.add_constant("s", tensor(DType::kInt8, {channels}, low_shift, high_shift));
       const DType in = g.value(from).type.dtype;
       const ValueId in_zero = scalar("z", in, 0), out_zero = scalar("oz", to, out_zp);
       Attrs a;
-      a.set(Attr::kScale32, 1).set(Attr::kRoundingMode, kSingleRound).set(Attr::kPerChannel, per_channel);
+      a.set(Attr::kScale32, 1)
+          .set(Attr::kRoundingMode, kSingleRound)
+          .set(Attr::kPerChannel, per_channel);
       a.set(Attr::kInputUnsigned, 0).set(Attr::kOutputUnsigned, 0);
       return g.add_node(Op::kRescale, a, {from, m, s, in_zero, out_zero}, "q", {to, out});
     };
@@ -88,7 +95,9 @@ struct ConvCase {
     switch (epilogue) {
       case Epilogue::kNone: break;
       case Epilogue::kRescale: last = rescale(last, DType::kInt8, false, 38, 42, -7); break;
-      case Epilogue::kPerChannel: last = clamp(rescale(last, DType::kInt8, true, 36, 42, -128), -120, 100); break;
+      case Epilogue::kPerChannel:
+        last = clamp(rescale(last, DType::kInt8, true, 36, 42, -128), -120, 100);
+        break;
       case Epilogue::kTable: {
         last = clamp(rescale(last, DType::kInt8, true, 36, 42, 3), -100, 127);
         const ValueId table = g.add_constant("table", tensor(DType::kInt8, {256}, -128, 127));
@@ -97,7 +106,8 @@ struct ConvCase {
       }
       case Epilogue::kResidual: {
         last = rescale(last, DType::kInt32, true, 34, 36, 0);
-        const ValueId other = rescale(g.add_input("skip", {DType::kInt8, out}), DType::kInt32, false, 24, 24, 0);
+        const ValueId other =
+            rescale(g.add_input("skip", {DType::kInt8, out}), DType::kInt32, false, 24, 24, 0);
         last = g.add_node(Op::kAdd, {}, {last, other}, "sum", {DType::kInt32, out});
         last = clamp(rescale(last, DType::kInt8, false, 38, 38, 1), -128, 90);
         break;
@@ -115,23 +125,26 @@ struct ConvCase {
       shape[1] += 3;
       shape[2] += 1;
       const ValueId padding = g.add_shape("padding", {0, 0, 1, 2, 1, 0, 0, 0});
-      const ValueId value = g.add_constant("pad_value", Tensor::from_ints({DType::kInt8, {1}}, std::vector<int64_t>{-77}));
+      const ValueId value = g.add_constant(
+          "pad_value", Tensor::from_ints({DType::kInt8, {1}}, std::vector<int64_t>{-77}));
       return g.add_node(Op::kPad, {}, {from, padding, value}, "padded", {DType::kInt8, shape});
     };
     const auto resize_node = [&](ValueId from) {
       Shape shape = g.value(from).type.shape;
       shape[1] *= 2;
       shape[2] *= 3;
-      const ValueId scale = g.add_shape("scale", {2, 1, 3, 1}), offset = g.add_shape("offset", {0, 0});
+      const ValueId scale = g.add_shape("scale", {2, 1, 3, 1}),
+                    offset = g.add_shape("offset", {0, 0});
       const ValueId border = g.add_shape("border", {1, 2});
-      return g.add_node(Op::kResize, Attrs().set(Attr::kMode, kNearest), {from, scale, offset, border}, "resized",
-                        {DType::kInt8, shape});
+      return g.add_node(Op::kResize, Attrs().set(Attr::kMode, kNearest),
+                        {from, scale, offset, border}, "resized", {DType::kInt8, shape});
     };
     const auto concat_node = [&](const std::vector<ValueId>& parts) {
       Shape shape = g.value(parts[0]).type.shape;
       shape[3] = 0;
       for (const ValueId part : parts) shape[3] += g.value(part).type.shape[3];
-      return g.add_node(Op::kConcat, Attrs().set(Attr::kAxis, 3), parts, "joined", {DType::kInt8, shape});
+      return g.add_node(Op::kConcat, Attrs().set(Attr::kAxis, 3), parts, "joined",
+                        {DType::kInt8, shape});
     };
     const auto input = [&](const char* label, int64_t height, int64_t width, int64_t channels) {
       return g.add_input(label, {DType::kInt8, {n, height, width, channels}});
@@ -139,7 +152,8 @@ struct ConvCase {
     switch (source) {
       case Source::kPlain: return input("x", h, w, ic);
       case Source::kPad: return pad_node(input("x", h - 3, w - 1, ic));
-      case Source::kConcat: return concat_node({input("x", h, w, ic / 2), input("x2", h, w, ic - ic / 2)});
+      case Source::kConcat:
+        return concat_node({input("x", h, w, ic / 2), input("x2", h, w, ic - ic / 2)});
       case Source::kResize: return resize_node(input("x", h / 2, w / 3, ic));
       case Source::kPadOfConcatOfResize: {
         const ValueId small = resize_node(input("x", (h - 3) / 2, (w - 1) / 3, ic / 2));
@@ -153,27 +167,59 @@ struct ConvCase {
 /// Convolutions at the edges of what the kernels distinguish.
 inline std::vector<ConvCase> edge_conv_cases() {
   std::vector<ConvCase> cases;
-  for (const int64_t ic : {1, 3, 4, 5, 8}) cases.push_back({.name = "ic" + std::to_string(ic), .ic = ic});
-  for (const int64_t oc : {1, 2, 5, 16, 17, 40}) cases.push_back({.name = "oc" + std::to_string(oc), .oc = oc});
+  for (const int64_t ic : {1, 3, 4, 5, 8})
+    cases.push_back({.name = "ic" + std::to_string(ic), .ic = ic});
+  for (const int64_t oc : {1, 2, 5, 16, 17, 40})
+    cases.push_back({.name = "oc" + std::to_string(oc), .oc = oc});
   for (const int64_t zp : {-128, 0, 127}) {
     cases.push_back({.name = "zp" + std::to_string(zp), .input_zp = zp});
-    cases.push_back({.name = "zp" + std::to_string(zp) + "_not_padded", .pad = {0, 0, 0, 0}, .input_zp = zp});
+    cases.push_back(
+        {.name = "zp" + std::to_string(zp) + "_not_padded", .pad = {0, 0, 0, 0}, .input_zp = zp});
     cases.push_back({.name = "zp_of_weights" + std::to_string(zp), .input_zp = 9, .weight_zp = zp});
   }
   cases.push_back({.name = "one_by_one", .kh = 1, .kw = 1, .pad = {0, 0, 0, 0}});
-  cases.push_back({.name = "one_pixel", .h = 1, .w = 1, .ic = 1, .oc = 1, .kh = 1, .kw = 1, .pad = {0, 0, 0, 0}});
+  cases.push_back({.name = "one_pixel",
+                   .h = 1,
+                   .w = 1,
+                   .ic = 1,
+                   .oc = 1,
+                   .kh = 1,
+                   .kw = 1,
+                   .pad = {0, 0, 0, 0}});
   cases.push_back({.name = "one_pixel_padded", .h = 1, .w = 1, .pad = {1, 1, 1, 1}, .input_zp = 5});
   cases.push_back({.name = "one_row", .h = 1, .w = 130, .kh = 1, .kw = 5, .pad = {0, 0, 2, 2}});
   cases.push_back({.name = "one_column", .h = 70, .w = 1, .kh = 5, .kw = 1, .pad = {2, 2, 0, 0}});
   cases.push_back({.name = "width_of_a_workgroup", .h = 2, .w = 64});
   cases.push_back({.name = "width_past_a_workgroup", .h = 2, .w = 65});
   cases.push_back({.name = "whole_image", .h = 5, .w = 7, .kh = 5, .kw = 7, .pad = {0, 0, 0, 0}});
-  cases.push_back({.name = "kernel_in_the_padding", .h = 2, .w = 2, .kh = 3, .kw = 3, .pad = {4, 3, 5, 4}, .input_zp = -3});
-  cases.push_back({.name = "stride2", .h = 6, .w = 8, .stride_y = 2, .stride_x = 2, .pad = {0, 1, 1, 0}});
+  cases.push_back({.name = "kernel_in_the_padding",
+                   .h = 2,
+                   .w = 2,
+                   .kh = 3,
+                   .kw = 3,
+                   .pad = {4, 3, 5, 4},
+                   .input_zp = -3});
+  cases.push_back(
+      {.name = "stride2", .h = 6, .w = 8, .stride_y = 2, .stride_x = 2, .pad = {0, 1, 1, 0}});
   cases.push_back({.name = "stride_y3_x1", .h = 10, .w = 5, .stride_y = 3, .pad = {1, 1, 1, 1}});
-  cases.push_back({.name = "stride_past_the_kernel", .h = 9, .w = 9, .kh = 1, .kw = 1, .stride_y = 4, .stride_x = 8, .pad = {0, 0, 0, 0}});
-  cases.push_back({.name = "dilation", .h = 9, .w = 9, .dilation_y = 2, .dilation_x = 3, .pad = {2, 2, 3, 3}});
-  cases.push_back({.name = "dilation_and_stride", .h = 9, .w = 8, .stride_y = 2, .dilation_y = 3, .dilation_x = 2, .pad = {2, 2, 0, 1}, .input_zp = 4});
+  cases.push_back({.name = "stride_past_the_kernel",
+                   .h = 9,
+                   .w = 9,
+                   .kh = 1,
+                   .kw = 1,
+                   .stride_y = 4,
+                   .stride_x = 8,
+                   .pad = {0, 0, 0, 0}});
+  cases.push_back(
+      {.name = "dilation", .h = 9, .w = 9, .dilation_y = 2, .dilation_x = 3, .pad = {2, 2, 3, 3}});
+  cases.push_back({.name = "dilation_and_stride",
+                   .h = 9,
+                   .w = 8,
+                   .stride_y = 2,
+                   .dilation_y = 3,
+                   .dilation_x = 2,
+                   .pad = {2, 2, 0, 1},
+                   .input_zp = 4});
   cases.push_back({.name = "asymmetric_pads", .pad = {0, 2, 3, 1}, .input_zp = -100});
   cases.push_back({.name = "even_kernel", .kh = 2, .kw = 4, .pad = {1, 0, 2, 1}});
   cases.push_back({.name = "batch2", .n = 2});
@@ -188,26 +234,83 @@ inline std::vector<ConvCase> edge_conv_cases() {
   cases.push_back({.name = "residual_oc5", .oc = 5, .epilogue = Epilogue::kResidual});
   cases.push_back({.name = "int16_out", .epilogue = Epilogue::kInt16});
   cases.push_back({.name = "pad_folded", .h = 8, .input_zp = -77, .source = Source::kPad});
-  cases.push_back({.name = "pad_folded_other_value", .h = 8, .input_zp = 30, .source = Source::kPad});
+  cases.push_back(
+      {.name = "pad_folded_other_value", .h = 8, .input_zp = 30, .source = Source::kPad});
   cases.push_back({.name = "concat_folded", .ic = 8, .source = Source::kConcat});
   cases.push_back({.name = "concat_folded_odd", .ic = 7, .source = Source::kConcat});
-  cases.push_back({.name = "resize_folded", .h = 6, .w = 9, .input_zp = 2, .source = Source::kResize});
-  cases.push_back({.name = "resize_folded_ic3", .h = 6, .w = 9, .ic = 3, .source = Source::kResize});
-  cases.push_back({.name = "pad_of_concat_of_resize", .n = 2, .h = 7, .w = 10, .ic = 8, .input_zp = -128, .source = Source::kPadOfConcatOfResize});
-  cases.push_back({.name = "pad_of_concat_of_resize_odd", .h = 7, .w = 10, .ic = 5, .oc = 17, .source = Source::kPadOfConcatOfResize, .epilogue = Epilogue::kTable});
+  cases.push_back(
+      {.name = "resize_folded", .h = 6, .w = 9, .input_zp = 2, .source = Source::kResize});
+  cases.push_back(
+      {.name = "resize_folded_ic3", .h = 6, .w = 9, .ic = 3, .source = Source::kResize});
+  cases.push_back({.name = "pad_of_concat_of_resize",
+                   .n = 2,
+                   .h = 7,
+                   .w = 10,
+                   .ic = 8,
+                   .input_zp = -128,
+                   .source = Source::kPadOfConcatOfResize});
+  cases.push_back({.name = "pad_of_concat_of_resize_odd",
+                   .h = 7,
+                   .w = 10,
+                   .ic = 5,
+                   .oc = 17,
+                   .source = Source::kPadOfConcatOfResize,
+                   .epilogue = Epilogue::kTable});
   // Few channels: an invocation makes a tile of pixels, which overlap by stride and dilation.
-  cases.push_back({.name = "tile_oc1_stride2", .h = 11, .w = 13, .oc = 1, .stride_y = 2, .stride_x = 2, .input_zp = -5});
-  cases.push_back({.name = "tile_oc2_dilation", .h = 7, .w = 12, .oc = 2, .dilation_y = 3, .dilation_x = 2, .pad = {3, 3, 2, 2}});
-  cases.push_back({.name = "tile_oc3_stride_and_dilation", .h = 10, .w = 9, .oc = 3, .stride_y = 3, .stride_x = 2, .dilation_y = 2,
+  cases.push_back({.name = "tile_oc1_stride2",
+                   .h = 11,
+                   .w = 13,
+                   .oc = 1,
+                   .stride_y = 2,
+                   .stride_x = 2,
+                   .input_zp = -5});
+  cases.push_back({.name = "tile_oc2_dilation",
+                   .h = 7,
+                   .w = 12,
+                   .oc = 2,
+                   .dilation_y = 3,
+                   .dilation_x = 2,
+                   .pad = {3, 3, 2, 2}});
+  cases.push_back({.name = "tile_oc3_stride_and_dilation",
+                   .h = 10,
+                   .w = 9,
+                   .oc = 3,
+                   .stride_y = 3,
+                   .stride_x = 2,
+                   .dilation_y = 2,
                    .pad = {0, 1, 1, 1}});
-  cases.push_back({.name = "tile_oc4_past_the_kernel", .h = 9, .w = 11, .oc = 4, .kh = 1, .kw = 2, .stride_y = 4, .stride_x = 3,
-                   .pad = {0, 0, 0, 0}, .epilogue = Epilogue::kTable});
-  cases.push_back({.name = "tile_oc2_one_pixel", .h = 1, .w = 1, .oc = 2, .stride_y = 8192, .stride_x = 8192, .epilogue = Epilogue::kResidual});
+  cases.push_back({.name = "tile_oc4_past_the_kernel",
+                   .h = 9,
+                   .w = 11,
+                   .oc = 4,
+                   .kh = 1,
+                   .kw = 2,
+                   .stride_y = 4,
+                   .stride_x = 3,
+                   .pad = {0, 0, 0, 0},
+                   .epilogue = Epilogue::kTable});
+  cases.push_back({.name = "tile_oc2_one_pixel",
+                   .h = 1,
+                   .w = 1,
+                   .oc = 2,
+                   .stride_y = 8192,
+                   .stride_x = 8192,
+                   .epilogue = Epilogue::kResidual});
   // More output channels than a module holds; zeros keep the modules small.
-  cases.push_back({.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
+  cases.push_back(
+      {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
   // The fewest products that leave the integers that float32 holds: 1025 * 128 * 128 > 2^24.
-  cases.push_back({.name = "beyond_float", .h = 1, .w = 2, .ic = 1028, .oc = 1, .kh = 1, .kw = 1, .pad = {0, 0, 0, 0},
-                   .epilogue = Epilogue::kNone, .weight_min = -128, .weight_max = -128});
+  cases.push_back({.name = "beyond_float",
+                   .h = 1,
+                   .w = 2,
+                   .ic = 1028,
+                   .oc = 1,
+                   .kh = 1,
+                   .kw = 1,
+                   .pad = {0, 0, 0, 0},
+                   .epilogue = Epilogue::kNone,
+                   .weight_min = -128,
+                   .weight_max = -128});
   return cases;
 }
 

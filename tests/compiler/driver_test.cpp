@@ -16,7 +16,8 @@ CompileOptions fast_options() {
   return options;
 }
 
-Result<Compiled> compile_text(const std::string& text, const CompileOptions& options = fast_options()) {
+Result<Compiled> compile_text(const std::string& text,
+                              const CompileOptions& options = fast_options()) {
   return compile({reinterpret_cast<const uint8_t*>(text.data()), text.size()}, options);
 }
 
@@ -48,10 +49,13 @@ TEST(Driver, GivesTheSameBytesTwice) {
   CompileOptions options;
   options.targets = {"lavapipe", "generic-gpu"};
   for (const ConvCase& row : edge_conv_cases()) {
-    if (row.name != "table_oc17" && row.name != "pad_of_concat_of_resize" && row.name != "residual_oc5") continue;
+    if (row.name != "table_oc17" && row.name != "pad_of_concat_of_resize" &&
+        row.name != "residual_oc5")
+      continue;
     for (const bool optimize : {true, false}) {
       options.pass_options.optimize = optimize;
-      const Compiled first = must(compile_graph(row.graph(), 1, options)), second = must(compile_graph(row.graph(), 1, options));
+      const Compiled first = must(compile_graph(row.graph(), 1, options)),
+                     second = must(compile_graph(row.graph(), 1, options));
       EXPECT_EQ(write_package(first.package), write_package(second.package)) << row.name;
     }
   }
@@ -61,10 +65,12 @@ TEST(Driver, WritesPackagesThatReadBackEqual) {
   CompileOptions options = fast_options();
   options.targets = {"lavapipe", "generic-gpu"};
   for (const ConvCase& row : edge_conv_cases()) {
-    if (row.name == "several_modules" || row.name == "beyond_float") continue;  // large, and no different here
+    if (row.name == "several_modules" || row.name == "beyond_float")
+      continue;  // large, and no different here
     const Compiled compiled = must(compile_graph(row.graph(), 7, options), row.name);
     EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
-    EXPECT_TRUE(must(read_package(write_package(compiled.package))) == compiled.package) << row.name;
+    EXPECT_TRUE(must(read_package(write_package(compiled.package))) == compiled.package)
+        << row.name;
   }
 }
 
@@ -74,7 +80,8 @@ TEST(Driver, RecordsWhereAPackageComesFrom) {
   options.kernels = {"generic"};
   const Compiled compiled = must(compile_text(kSmall, options));
   const std::string text = kSmall;
-  EXPECT_EQ(compiled.package.provenance.model_hash, stable_hash({reinterpret_cast<const uint8_t*>(text.data()), text.size()}));
+  EXPECT_EQ(compiled.package.provenance.model_hash,
+            stable_hash({reinterpret_cast<const uint8_t*>(text.data()), text.size()}));
   EXPECT_EQ(compiled.package.provenance.model_name, "small");
   EXPECT_EQ(compiled.package.provenance.options, "optimize=true kernels=[generic] spirv_opt=false");
 }
@@ -82,11 +89,14 @@ TEST(Driver, RecordsWhereAPackageComesFrom) {
 TEST(Driver, RefusesWhatItDoesNotKnow) {
   CompileOptions options = fast_options();
   options.targets = {"lavapipe", "abacus"};
-  EXPECT_EQ(error_text(compile_text(kSmall, options)), "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu");
+  EXPECT_EQ(error_text(compile_text(kSmall, options)),
+            "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu");
   options = fast_options();
   options.kernels = {"generic", "conv2d_s8_abacus"};
-  EXPECT_EQ(error_text(compile_text(kSmall, options)), "--kernels: \"conv2d_s8_abacus\" is no kernel family");
-  EXPECT_NE(error_text(compile_text("a picture of a graph")).find("is no model"), std::string::npos);
+  EXPECT_EQ(error_text(compile_text(kSmall, options)),
+            "--kernels: \"conv2d_s8_abacus\" is no kernel family");
+  EXPECT_NE(error_text(compile_text("a picture of a graph")).find("is no model"),
+            std::string::npos);
   EXPECT_NE(error_text(compile_text("graph main {")).find("line 1"), std::string::npos);
 }
 
@@ -115,15 +125,19 @@ TEST(Driver, CopiesConstantsInputsAndRepeatsThatAreOutputs) {
   %y = bitwise_not %x : i8[2]
   return %x, %c, %y, %y, %c
 })"));
-  EXPECT_EQ(interface_of(compiled.package.variants[0]),
-            (std::vector<std::string>{"x:in", "x.1:out", "c.1:out", "y:out", "y.1:out", "c.2:out"}));
+  EXPECT_EQ(
+      interface_of(compiled.package.variants[0]),
+      (std::vector<std::string>{"x:in", "x.1:out", "c.1:out", "y:out", "y.1:out", "c.2:out"}));
   EXPECT_EQ(graph_dispatches(compiled).size(), 5u);
   EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
 }
 
 TEST(Driver, KeepsInputsThatNothingReads) {
-  const Compiled compiled = must(compile_text("graph main {\n input %x : i8[2]\n input %unused : i48[5]\n %y = bitwise_not %x : i8[2]\n return %y\n}"));
-  EXPECT_EQ(interface_of(compiled.package.variants[0]), (std::vector<std::string>{"x:in", "unused:in", "y:out"}));
+  const Compiled compiled =
+      must(compile_text("graph main {\n input %x : i8[2]\n input %unused : i48[5]\n %y = "
+                        "bitwise_not %x : i8[2]\n return %y\n}"));
+  EXPECT_EQ(interface_of(compiled.package.variants[0]),
+            (std::vector<std::string>{"x:in", "unused:in", "y:out"}));
 }
 
 TEST(Driver, MakesAVariantForEachTarget) {
@@ -153,7 +167,8 @@ TEST(Driver, SharesModulesOfEqualContent) {
   %c = abs %b : i32[5]
   %d = clz %c : i32[5]
   return %d
-})", options));
+})",
+                                              options));
   const std::vector<Dispatch>& dispatches = graph_dispatches(compiled);
   ASSERT_EQ(dispatches.size(), 4u);
   EXPECT_EQ(compiled.package.variants[0].modules.size(), 2u);
@@ -173,7 +188,8 @@ TEST(Driver, StoresEqualWeightsOnce) {
   %c = add %x, %a : i32[3]
   %d = sub %c, %b : i32[3]
   return %d
-})", options));
+})",
+                                              options));
   EXPECT_EQ(compiled.package.weights.size(), 12u);
 }
 
@@ -181,14 +197,16 @@ TEST(Driver, ReusesTheArena) {
   CompileOptions options = fast_options();
   options.pass_options.optimize = false;
   std::string text = "graph main {\n  input %v0 : i32[100]\n";
-  for (int i = 1; i <= 6; ++i) text += fmt::format("  %v{} = {} %v{} : i32[100]\n", i, i % 2 == 0 ? "abs" : "clz", i - 1);
+  for (int i = 1; i <= 6; ++i)
+    text += fmt::format("  %v{} = {} %v{} : i32[100]\n", i, i % 2 == 0 ? "abs" : "clz", i - 1);
   const Compiled compiled = must(compile_text(text + "  return %v6\n}", options));
   EXPECT_EQ(compiled.package.variants[0].arena_bytes, 1024u);  // two of five at a time
   EXPECT_EQ(compiled.arena_lower_bound_bytes, 1024u);
 }
 
 TEST(Driver, RefusesNamesThatNoPackageMayHave) {
-  EXPECT_NE(error_text(compile_text("graph main {\n input %\"a\\x0ab\" : i8[2]\n %y = bitwise_not %\"a\\x0ab\" : i8[2]\n return %y\n}"))
+  EXPECT_NE(error_text(compile_text("graph main {\n input %\"a\\x0ab\" : i8[2]\n %y = bitwise_not "
+                                    "%\"a\\x0ab\" : i8[2]\n return %y\n}"))
                 .find("control characters"),
             std::string::npos);
 }
@@ -199,7 +217,8 @@ TEST(Driver, KeepsNamesOfPartsApartFromNamesOfValues) {
     if (row.name != "several_modules") continue;
     Graph graph = row.graph();
     const ValueId x = graph.inputs[0];
-    graph.outputs.push_back(graph.add_node(Op::kBitwiseNot, {}, {x}, "clamped#1", graph.value(x).type));
+    graph.outputs.push_back(
+        graph.add_node(Op::kBitwiseNot, {}, {x}, "clamped#1", graph.value(x).type));
     const Compiled compiled = must(compile_graph(graph, 0, fast_options()));
     ASSERT_EQ(graph_dispatches(compiled).size(), 4u);
     EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
@@ -209,9 +228,12 @@ TEST(Driver, KeepsNamesOfPartsApartFromNamesOfValues) {
 TEST(Driver, AppliesInputShapes) {
   CompileOptions options = fast_options();
   options.passes.input_shapes = {{"x", {1, 6, 8, 3}}};
-  const Compiled compiled = must(compile_text("graph main {\n input %x : i8[1,?,?,3]\n %y = bitwise_not %x : i8[1,?,?,3]\n return %y\n}", options));
+  const Compiled compiled = must(compile_text(
+      "graph main {\n input %x : i8[1,?,?,3]\n %y = bitwise_not %x : i8[1,?,?,3]\n return %y\n}",
+      options));
   EXPECT_EQ(compiled.package.variants[0].resources[1].shape, (Shape{1, 6, 8, 3}));
-  EXPECT_EQ(compiled.package.provenance.options, "optimize=true kernels=[] spirv_opt=false x=[1,6,8,3]");
+  EXPECT_EQ(compiled.package.provenance.options,
+            "optimize=true kernels=[] spirv_opt=false x=[1,6,8,3]");
 }
 
 // frame.json
@@ -254,7 +276,8 @@ TEST(FrameJson, ReadsEveryField) {
   EXPECT_EQ(frame.passes[0].workgroup[1], 4u);
   ASSERT_EQ(frame.passes[0].bindings.size(), 3u);
   EXPECT_EQ(frame.passes[0].bindings[1].frames_back, 2u);
-  EXPECT_TRUE(frame.passes[0].bindings[1].is_image && frame.passes[0].bindings[1].reads && !frame.passes[0].bindings[1].writes);
+  EXPECT_TRUE(frame.passes[0].bindings[1].is_image && frame.passes[0].bindings[1].reads &&
+              !frame.passes[0].bindings[1].writes);
   EXPECT_TRUE(!frame.passes[0].bindings[2].is_image && frame.passes[0].bindings[2].writes);
   EXPECT_TRUE(frame.passes[1].is_graph);
 }
@@ -264,15 +287,20 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
     const char *from, *to, *message;
   };
   const Row rows[] = {
-      {"\"schema\": \"shale-frame/1\"", "\"schema\": \"shale-frame/2\"", "frame: schema \"shale-frame/2\" is unknown"},
+      {"\"schema\": \"shale-frame/1\"", "\"schema\": \"shale-frame/2\"",
+       "frame: schema \"shale-frame/2\" is unknown"},
       {"\"schema\": \"shale-frame/1\",", "", "frame: \"schema\" must be a text"},
       {"\"name\": \"color\"", "\"name\": \"\"", "frame.images[0]: \"name\" must be a text"},
-      {"\"name\": \"color\"", "\"name\": \"2color\"", "frame.images[0]: the name \"2color\" is no identifier"},
-      {"\"name\": \"color\"", "\"name\": \"col or\"", "frame.images[0]: the name \"col or\" is no identifier"},
+      {"\"name\": \"color\"", "\"name\": \"2color\"",
+       "frame.images[0]: the name \"2color\" is no identifier"},
+      {"\"name\": \"color\"", "\"name\": \"col or\"",
+       "frame.images[0]: the name \"col or\" is no identifier"},
       {"\"role\": \"input\"", "\"role\": \"in\"", "frame.images[0]: role \"in\" is none of"},
       {"\"role\": \"input\",", "", "frame.images[0]: \"role\" must be a text"},
-      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba9\", \"scale\": 1}", "frame.images[0]: format \"rgba9\" is no image format"},
-      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba8_sint\", \"scale\": 1}", "frame.images[0]: format \"rgba8_sint\" is no image format"},
+      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba9\", \"scale\": 1}",
+       "frame.images[0]: format \"rgba9\" is no image format"},
+      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba8_sint\", \"scale\": 1}",
+       "frame.images[0]: format \"rgba8_sint\" is no image format"},
       {"\"scale\": 2", "\"scale\": 17", "frame.images[1]: \"scale\" is 17"},
       {"\"scale\": 2", "\"scale\": 0", "frame.images[1]: \"scale\" is 0"},
       {"\"scale\": 2", "\"scale\": \"2\"", "frame.images[1]: \"scale\" must be a number"},
@@ -282,31 +310,44 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
       {"\"scale\": 0.5,", "", "frame.tensors[0]: \"scale\" must be a number"},
       {"\"zero_point\": -3", "\"zero_point\": 65536", "frame.tensors[0]: \"zero_point\" is 65536"},
       {"{\"name\": \"x\",", "{", "frame.tensors[0]: \"name\" must be a text"},
-      {"\"name\": \"pre\"", "\"name\": \"p-r-e\"", "frame.passes[0]: the name \"p-r-e\" is no identifier"},
+      {"\"name\": \"pre\"", "\"name\": \"p-r-e\"",
+       "frame.passes[0]: the name \"p-r-e\" is no identifier"},
       {"\"shader\": \"pre.comp\",", "", "frame.passes[0]: \"shader\" must be a text"},
       {"\"over\": \"color\",", "", "frame.passes[0]: \"over\" must be a text"},
       {"[8, 4]", "[8]", "frame.passes[0]: \"workgroup\" must be two whole numbers"},
       {"[8, 4]", "[8, -4]", "frame.passes[0]: \"workgroup\" must be two whole numbers"},
       {"[8, 4]", "[8, 33]", "frame.passes[0]: workgroup size 33 is outside 1..32"},
       {"[8, 4]", "[0, 4]", "frame.passes[0]: workgroup size 0 is outside 1..32"},
-      {"\"binding\": 1, \"image\": \"kept\"", "\"binding\": 64, \"image\": \"kept\"", "frame.passes[0].bindings[1]: \"binding\" is 64"},
-      {"\"binding\": 1, \"image\": \"kept\"", "\"binding\": 0, \"image\": \"kept\"", "frame.passes[0].bindings[1]: binding 0 is used twice"},
-      {"\"image\": \"kept\", \"access\": \"read\"", "\"access\": \"read\"", "frame.passes[0].bindings[1]: \"tensor\" must be a text"},
-      {"\"image\": \"kept\", \"access\": \"read\"", "\"image\": 5, \"access\": \"read\"", "frame.passes[0].bindings[1]: \"image\" must be a text"},
-      {"\"access\": \"read\", \"frames_back\"", "\"access\": \"both\", \"frames_back\"", "frame.passes[0].bindings[1]: access \"both\" is neither"},
-      {"\"frames_back\": 2", "\"frames_back\": 8", "frame.passes[0].bindings[1]: \"frames_back\" is 8"},
-      {"\"access\": \"read\", \"frames_back\"", "\"access\": \"write\", \"frames_back\"", "only this frame's image can be written"},
+      {"\"binding\": 1, \"image\": \"kept\"", "\"binding\": 64, \"image\": \"kept\"",
+       "frame.passes[0].bindings[1]: \"binding\" is 64"},
+      {"\"binding\": 1, \"image\": \"kept\"", "\"binding\": 0, \"image\": \"kept\"",
+       "frame.passes[0].bindings[1]: binding 0 is used twice"},
+      {"\"image\": \"kept\", \"access\": \"read\"", "\"access\": \"read\"",
+       "frame.passes[0].bindings[1]: \"tensor\" must be a text"},
+      {"\"image\": \"kept\", \"access\": \"read\"", "\"image\": 5, \"access\": \"read\"",
+       "frame.passes[0].bindings[1]: \"image\" must be a text"},
+      {"\"access\": \"read\", \"frames_back\"", "\"access\": \"both\", \"frames_back\"",
+       "frame.passes[0].bindings[1]: access \"both\" is neither"},
+      {"\"frames_back\": 2", "\"frames_back\": 8",
+       "frame.passes[0].bindings[1]: \"frames_back\" is 8"},
+      {"\"access\": \"read\", \"frames_back\"", "\"access\": \"write\", \"frames_back\"",
+       "only this frame's image can be written"},
       {"{\"graph\": \"main\"},", "", "frame.passes: exactly one entry must be {\"graph\": ...}"},
-      {"{\"graph\": \"main\"},", "{\"graph\": \"a\"}, {\"graph\": \"b\"},", "frame.passes: exactly one entry must be {\"graph\": ...}"},
-      {"\"images\": [", "\"images\": 3, \"other\": [", "frame: \"images\" must be a list of at most 64 entries"},
-      {"\"passes\": [", "\"passes\": {}, \"other\": [", "frame: \"passes\" must be a list of at most 64 entries"},
-      {"{\"graph\": \"main\"},", "7, {\"graph\": \"main\"},", "frame.passes[1]: \"name\" must be a text"},
+      {"{\"graph\": \"main\"},", "{\"graph\": \"a\"}, {\"graph\": \"b\"},",
+       "frame.passes: exactly one entry must be {\"graph\": ...}"},
+      {"\"images\": [", "\"images\": 3, \"other\": [",
+       "frame: \"images\" must be a list of at most 64 entries"},
+      {"\"passes\": [", "\"passes\": {}, \"other\": [",
+       "frame: \"passes\" must be a list of at most 64 entries"},
+      {"{\"graph\": \"main\"},", "7, {\"graph\": \"main\"},",
+       "frame.passes[1]: \"name\" must be a text"},
   };
   for (const Row& row : rows) {
     const std::string text = replaced(kFrame, row.from, row.to);
     ASSERT_NE(text, kFrame) << row.from;
     const std::string error = error_text(parse_frame(text));
-    EXPECT_NE(error.find(row.message), std::string::npos) << "expected: " << row.message << "\nfound:    " << error;
+    EXPECT_NE(error.find(row.message), std::string::npos)
+        << "expected: " << row.message << "\nfound:    " << error;
   }
   EXPECT_EQ(error_text(parse_frame("")), "is not valid JSON");
   EXPECT_EQ(error_text(parse_frame("[]")), "is not valid JSON");
@@ -315,7 +356,8 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
 
 TEST(FrameJson, SurvivesEveryCut) {
   const std::string text = kFrame;
-  for (size_t length = 0; length < text.size(); ++length) EXPECT_FALSE(parse_frame(text.substr(0, length))) << length;
+  for (size_t length = 0; length < text.size(); ++length)
+    EXPECT_FALSE(parse_frame(text.substr(0, length))) << length;
 }
 
 class SandwichTest : public testing::Test {
@@ -345,7 +387,8 @@ void main() { imageStore(shown, ivec2(gl_GlobalInvocationID.xy), vec4(y.d[0])); 
     };
     return options;
   }
-  static constexpr const char* kNetwork = "graph main {\n input %x : i8[1,6,10,4]\n %y = bitwise_not %x : i8[1,6,10,4]\n return %y\n}";
+  static constexpr const char* kNetwork =
+      "graph main {\n input %x : i8[1,6,10,4]\n %y = bitwise_not %x : i8[1,6,10,4]\n return %y\n}";
   static std::string error_of(const std::string& from, const std::string& to) {
     const std::string text = replaced(kFrame, from, to);
     EXPECT_NE(text, kFrame);
@@ -360,23 +403,38 @@ TEST_F(SandwichTest, PutsPassesAroundTheNetwork) {
   EXPECT_EQ(variant.segments[0].kind, SegmentKind::kCompute);
   EXPECT_EQ(variant.segments[1].kind, SegmentKind::kGraph);
   EXPECT_EQ(variant.segments[2].name, "post");
-  EXPECT_EQ(variant.segments[0].dispatches[0].workgroups, (std::array<uint32_t, 3>{2, 2, 1}));  // 10x6 by 8x4
-  EXPECT_EQ(variant.segments[2].dispatches[0].workgroups, (std::array<uint32_t, 3>{3, 2, 1}));  // 20x12 by 8x8
+  EXPECT_EQ(variant.segments[0].dispatches[0].workgroups,
+            (std::array<uint32_t, 3>{2, 2, 1}));  // 10x6 by 8x4
+  EXPECT_EQ(variant.segments[2].dispatches[0].workgroups,
+            (std::array<uint32_t, 3>{3, 2, 1}));  // 20x12 by 8x8
   EXPECT_TRUE(must(read_package(write_package(compiled.package))) == compiled.package);
 }
 
 TEST_F(SandwichTest, NamesWhatDoesNotFitTogether) {
-  EXPECT_NE(error_of("\"over\": \"color\"", "\"over\": \"colour\"").find("pass \"pre\": there is no image \"colour\""), std::string::npos);
-  EXPECT_NE(error_of("\"tensor\": \"y\"", "\"tensor\": \"z\"").find("there is no graph input or output \"z\""), std::string::npos);
-  EXPECT_NE(error_of("\"image\": \"color\", \"access\": \"read\"", "\"image\": \"color\", \"access\": \"write\"").find("writes \"color\""),
+  EXPECT_NE(error_of("\"over\": \"color\"", "\"over\": \"colour\"")
+                .find("pass \"pre\": there is no image \"colour\""),
             std::string::npos);
-  EXPECT_NE(error_of("\"frames_back\": 2", "\"frames_back\": 3").find("3 frames back, its history is 3 deep"), std::string::npos);
-  EXPECT_NE(error_of("\"name\": \"shown\"", "\"name\": \"color\"").find("the name \"color\" is used twice"), std::string::npos);
-  EXPECT_NE(error_of("pre.comp", "missing.comp").find("missing.comp: cannot be read"), std::string::npos);
+  EXPECT_NE(error_of("\"tensor\": \"y\"", "\"tensor\": \"z\"")
+                .find("there is no graph input or output \"z\""),
+            std::string::npos);
+  EXPECT_NE(error_of("\"image\": \"color\", \"access\": \"read\"",
+                     "\"image\": \"color\", \"access\": \"write\"")
+                .find("writes \"color\""),
+            std::string::npos);
+  EXPECT_NE(error_of("\"frames_back\": 2", "\"frames_back\": 3")
+                .find("3 frames back, its history is 3 deep"),
+            std::string::npos);
+  EXPECT_NE(error_of("\"name\": \"shown\"", "\"name\": \"color\"")
+                .find("the name \"color\" is used twice"),
+            std::string::npos);
+  EXPECT_NE(error_of("pre.comp", "missing.comp").find("missing.comp: cannot be read"),
+            std::string::npos);
 }
 
 TEST_F(SandwichTest, NeedsAnImageNetwork) {
-  EXPECT_NE(error_text(compile_text(kSmall, options(kFrame))).find("a sandwich needs a network whose first input is NHWC"), std::string::npos);
+  EXPECT_NE(error_text(compile_text(kSmall, options(kFrame)))
+                .find("a sandwich needs a network whose first input is NHWC"),
+            std::string::npos);
 }
 
 }  // namespace

@@ -38,18 +38,23 @@ inline Graph graph_of(const std::string& text) {
 }
 
 /// The text as the printer has it.
-inline std::string normal_text(const std::string& text) { return print_text(must(parse_text(text), text)); }
+inline std::string normal_text(const std::string& text) {
+  return print_text(must(parse_text(text), text));
+}
 
-/// A tensor for each graph input over the whole range of its type, INT32 over 20 bits; from a fixed seed.
+/// A tensor for each graph input over the whole range of its type, INT32 over 20 bits; from a fixed
+/// seed.
 inline std::vector<Tensor> random_inputs(const Graph& graph, uint64_t seed) {
   std::mt19937_64 random(seed);
   std::vector<Tensor> inputs;
   for (const ValueId id : graph.inputs) {
     const TensorType& type = graph.value(id).type;
-    const IntRange range = type.dtype == DType::kInt32 ? IntRange{-524288, 524287} : dtype_range(type.dtype);
+    const IntRange range =
+        type.dtype == DType::kInt32 ? IntRange{-524288, 524287} : dtype_range(type.dtype);
     Tensor tensor = Tensor::zeros(type);
     for (int64_t i = 0; i < tensor.count(); ++i)
-      tensor.set(i, range.min + static_cast<int64_t>(random() % static_cast<uint64_t>(range.max - range.min + 1)));
+      tensor.set(i, range.min + static_cast<int64_t>(
+                                    random() % static_cast<uint64_t>(range.max - range.min + 1)));
     inputs.push_back(std::move(tensor));
   }
   return inputs;
@@ -63,7 +68,9 @@ inline void expect_same_results(const Graph& a, const Graph& b) {
     const auto found = interpret(b, inputs);
     ASSERT_TRUE(expected) << error_text(expected);
     ASSERT_TRUE(found) << error_text(found);
-    EXPECT_TRUE(*found == *expected) << "seed " << seed << "\n" << print_text(a) << "became\n" << print_text(b);
+    EXPECT_TRUE(*found == *expected) << "seed " << seed << "\n"
+                                     << print_text(a) << "became\n"
+                                     << print_text(b);
   }
 }
 

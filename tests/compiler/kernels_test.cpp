@@ -1,4 +1,5 @@
-// Every row of kernels.def on every edge shape, on the device and bit for bit against the interpreter.
+// Every row of kernels.def on every edge shape, on the device and bit for bit against the
+// interpreter.
 #include <gtest/gtest.h>
 
 #include "compiler/driver/compile.h"
@@ -18,8 +19,10 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
       std::printf("not validated: %s\n", device.error().text().c_str());
       device = ToolDevice::open({});
     }
-    if (device) device_ = std::make_unique<ToolDevice>(*std::move(device));
-    else std::printf("%s\n", device.error().text().c_str());
+    if (device)
+      device_ = std::make_unique<ToolDevice>(*std::move(device));
+    else
+      std::printf("%s\n", device.error().text().c_str());
   }
   static void TearDownTestSuite() { device_.reset(); }
 
@@ -31,27 +34,32 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
     for (const std::string& message : device_->take_validation_messages()) ADD_FAILURE() << message;
   }
 
-  /// Compiles for the kernel alone and compares with the interpreter; returns the kernels that were taken.
-  static std::vector<std::string> expect_exact(const Graph& graph, const std::string& kernel, bool optimize) {
+  /// Compiles for the kernel alone and compares with the interpreter; returns the kernels that were
+  /// taken.
+  static std::vector<std::string> expect_exact(const Graph& graph, const std::string& kernel,
+                                               bool optimize) {
     CompileOptions options;
     options.kernels = {kernel};
     options.optimize_spirv = false;
     options.pass_options.optimize = optimize;
     const Compiled compiled = must(compile_graph(graph, 0, options));
     std::vector<std::string> taken;
-    for (const Dispatch& dispatch : compiled.package.variants[0].segments[0].dispatches) taken.push_back(dispatch.kernel);
+    for (const Dispatch& dispatch : compiled.package.variants[0].segments[0].dispatches)
+      taken.push_back(dispatch.kernel);
     for (uint64_t seed = 1; seed <= 2; ++seed) {
       std::vector<Tensor> inputs = random_inputs(graph, seed);
       // The second time the inputs are at the lower limit: the largest magnitudes.
       if (seed == 2)
         for (Tensor& input : inputs)
-          for (int64_t i = 0; i < input.count(); ++i) input.set(i, dtype_range(input.type.dtype).min);
+          for (int64_t i = 0; i < input.count(); ++i)
+            input.set(i, dtype_range(input.type.dtype).min);
       const std::vector<Tensor> expected = must(interpret(graph, inputs));
       const std::vector<Tensor> found = must(run_network(*device_, compiled.package, inputs));
       for (size_t i = 0; i < expected.size(); ++i)
         if (const auto difference = first_difference(found[i], expected[i]))
-          ADD_FAILURE() << kernel << (optimize ? "" : " without passes") << ", inputs " << seed << ", output " << i << ": "
-                        << *difference << "\n" << print_text(compiled.graph);
+          ADD_FAILURE() << kernel << (optimize ? "" : " without passes") << ", inputs " << seed
+                        << ", output " << i << ": " << *difference << "\n"
+                        << print_text(compiled.graph);
     }
     return taken;
   }
@@ -67,7 +75,9 @@ TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
   // Each family takes each row, but for the one that is there to be refused by the float kernel.
   const bool refused = kernel == "conv2d_s8_f32exact" && row.name == "beyond_float";
   EXPECT_EQ(std::find(taken.begin(), taken.end(), kernel) == taken.end(), refused);
-  EXPECT_EQ(taken.size(), row.name == "several_modules" && kernel != "generic" ? 3u : 1u);
+  // How many modules is the family's affair, but here one is not enough for literal weights.
+  const bool is_split = row.name == "several_modules" && kernel != "generic";
+  EXPECT_EQ(taken.size() > 1, is_split);
   // Without passes the kernel itself has zero points and pads.
   if (row.input_zp != 0 || row.weight_zp != 0) expect_exact(graph, kernel, false);
 }
@@ -78,11 +88,12 @@ std::vector<std::string> kernel_names() {
   return names;
 }
 
-INSTANTIATE_TEST_SUITE_P(Kernels, EveryKernel,
-                         testing::Combine(testing::ValuesIn(kernel_names()), testing::ValuesIn(edge_conv_cases())),
-                         [](const testing::TestParamInfo<EveryKernel::ParamType>& test) {
-                           return replaced(std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-", "minus");
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    Kernels, EveryKernel,
+    testing::Combine(testing::ValuesIn(kernel_names()), testing::ValuesIn(edge_conv_cases())),
+    [](const testing::TestParamInfo<EveryKernel::ParamType>& test) {
+      return replaced(std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-", "minus");
+    });
 
 }  // namespace
 }  // namespace shale

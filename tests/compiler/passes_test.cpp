@@ -1,11 +1,12 @@
-#include "compiler/passes/pass.h"
-
 #include "compiler/passes/op_kind.h"
+#include "compiler/passes/pass.h"
 #include "tests/compiler/graph_support.h"
 
 namespace shale {
 
-void PrintTo(Change change, std::ostream* out) { *out << (change == Change::kNone ? "kNone" : "kChanged"); }
+void PrintTo(Change change, std::ostream* out) {
+  *out << (change == Change::kNone ? "kNone" : "kChanged");
+}
 
 namespace {
 
@@ -20,13 +21,14 @@ void PrintTo(const PassOutput& output, std::ostream* out) {
 
 class PassTest : public testing::Test {
  protected:
-  /// Runs one pass. Whatever it does, its claim must be true, the graph must stay legal and compute the same,
-  /// and a second run must find nothing left to do.
+  /// Runs one pass. Whatever it does, its claim must be true, the graph must stay legal and compute
+  /// the same, and a second run must find nothing left to do.
   static PassOutput run_pass(std::string_view name, const std::string& text) {
     const Graph before = graph_of(text);
     Graph after = before;
     const Change change = run(name, after);
-    EXPECT_EQ(change == Change::kNone, print_text(after) == print_text(before)) << "the claim is wrong";
+    EXPECT_EQ(change == Change::kNone, print_text(after) == print_text(before))
+        << "the claim is wrong";
     const auto verified = verify(after);
     EXPECT_TRUE(verified) << error_text(verified) << "\n" << print_text(after);
     if (verified) expect_same_results(before, after);
@@ -43,7 +45,8 @@ class PassTest : public testing::Test {
   }
 
   /// Values that nothing uses may stand in `after` too.
-  static void expect_change(std::string_view name, const std::string& before, const std::string& after) {
+  static void expect_change(std::string_view name, const std::string& before,
+                            const std::string& after) {
     Graph expected = graph_of(after);
     expected.compact();
     EXPECT_EQ(run_pass(name, before), (PassOutput{Change::kChanged, print_text(expected)}));
@@ -90,12 +93,14 @@ TEST_F(InferShapesTest, LeavesAClosedGraphAlone) {
 TEST_F(InferShapesTest, GivesAnInputAnotherShape) {
   Graph graph = graph_of(kDoubler);
   EXPECT_EQ(must(run(graph, {{"x", {1, 5, 7, 2}}})), Change::kChanged);
-  EXPECT_EQ(print_text(graph), normal_text(replaced(replaced(kDoubler, "[1,4,6,2]", "[1,5,7,2]"), "[1,8,12,2]", "[1,10,14,2]")));
+  EXPECT_EQ(print_text(graph), normal_text(replaced(replaced(kDoubler, "[1,4,6,2]", "[1,5,7,2]"),
+                                                    "[1,8,12,2]", "[1,10,14,2]")));
   EXPECT_TRUE(verify(graph));
 }
 
 TEST_F(InferShapesTest, ClosesOpenDimensions) {
-  Graph graph = must(parse_text(replaced(replaced(kDoubler, "[1,4,6,2]", "[1,?,?,2]"), "[1,8,12,2]", "[1,?,?,2]")));
+  Graph graph = must(parse_text(
+      replaced(replaced(kDoubler, "[1,4,6,2]", "[1,?,?,2]"), "[1,8,12,2]", "[1,?,?,2]")));
   EXPECT_EQ(must(run(graph, {{"x", {1, 4, 6, 2}}})), Change::kChanged);
   EXPECT_EQ(print_text(graph), normal_text(kDoubler));
 }
@@ -107,15 +112,21 @@ TEST_F(InferShapesTest, ClosesAResultWhoseOperandsAreClosed) {
 }
 
 TEST_F(InferShapesTest, RefusesWhatCannotBe) {
-  EXPECT_EQ(error_of(kDoubler, {{"y", {1, 4, 6, 2}}}), "--input-shape: the graph has no input \"y\"");
-  EXPECT_EQ(error_of(kDoubler, {{"big", {1, 8, 12, 2}}}), "--input-shape: the graph has no input \"big\"");
-  EXPECT_EQ(error_of(kDoubler, {{"x", {4, 6, 2}}}), "--input-shape: input \"x\" has rank 4, found [4,6,2]");
-  EXPECT_EQ(error_of(kDoubler, {{"x", {1, 0, 6, 2}}}), "--input-shape: [1,0,6,2] is no shape for input \"x\"");
-  EXPECT_EQ(error_of(kDoubler, {{"x", {1, 65536, 65536, 2}}}), "--input-shape: [1,65536,65536,2] is no shape for input \"x\"");
+  EXPECT_EQ(error_of(kDoubler, {{"y", {1, 4, 6, 2}}}),
+            "--input-shape: the graph has no input \"y\"");
+  EXPECT_EQ(error_of(kDoubler, {{"big", {1, 8, 12, 2}}}),
+            "--input-shape: the graph has no input \"big\"");
+  EXPECT_EQ(error_of(kDoubler, {{"x", {4, 6, 2}}}),
+            "--input-shape: input \"x\" has rank 4, found [4,6,2]");
+  EXPECT_EQ(error_of(kDoubler, {{"x", {1, 0, 6, 2}}}),
+            "--input-shape: [1,0,6,2] is no shape for input \"x\"");
+  EXPECT_EQ(error_of(kDoubler, {{"x", {1, 65536, 65536, 2}}}),
+            "--input-shape: [1,65536,65536,2] is no shape for input \"x\"");
   EXPECT_EQ(error_of(replaced(kDoubler, "[1,4,6,2]", "[1,?,6,2]"), {}),
             "input \"x\": its shape [1,?,6,2] is open; give it with --input-shape x=N,H,W,C");
   EXPECT_EQ(error_of(replaced(kDoubler, "[1,8,12,2]", "[1,8,13,2]"), {}),
-            "node %0 \"big\" (resize): declares its result as i8[1,8,13,2], its operands give i8[1,8,12,2]");
+            "node %0 \"big\" (resize): declares its result as i8[1,8,13,2], its operands give "
+            "i8[1,8,12,2]");
   EXPECT_EQ(error_of(replaced(kDoubler, "i8[1,8,12,2]", "i32[1,8,12,2]"), {{"x", {1, 5, 6, 2}}}),
             "node %0 \"big\" (resize): declares its result as i32, its operands give i8");
 }
@@ -179,8 +190,10 @@ TEST_F(PassTest, FoldConstantsKeepsResultsThatWouldBloatThePackage) {
   return %y
 })";
   expect_untouched("fold-constants", text);
-  EXPECT_EQ(run_pass("fold-constants", replaced(replaced(text, "524289", "524288"), "1048578", "1048576")).change,
-            Change::kChanged);
+  EXPECT_EQ(
+      run_pass("fold-constants", replaced(replaced(text, "524289", "524288"), "1048578", "1048576"))
+          .change,
+      Change::kChanged);
 }
 
 TEST_F(PassTest, FoldConstantsNamesANodeWithoutResult) {
@@ -190,22 +203,26 @@ TEST_F(PassTest, FoldConstantsNamesANodeWithoutResult) {
   return %y
 })");
   const auto result = shale::run_pass(*find_pass("fold-constants"), graph, {});
-  EXPECT_NE(error_text(result).find("node %0 \"y\" (add)"), std::string::npos) << error_text(result);
+  EXPECT_NE(error_text(result).find("node %0 \"y\" (add)"), std::string::npos)
+      << error_text(result);
 }
 
 // remove-identity
 
-std::string identity_graph(const std::string& constants, const std::string& node, const std::string& type = "i8[1,2,3,4]") {
-  return "graph main {\n  input %x : " + type + "\n" + constants + "  %same = " + node + " : " + type +
-         "\n  %y = bitwise_not %same : " + type + "\n  return %y\n}";
+std::string identity_graph(const std::string& constants, const std::string& node,
+                           const std::string& type = "i8[1,2,3,4]") {
+  return "graph main {\n  input %x : " + type + "\n" + constants + "  %same = " + node + " : " +
+         type + "\n  %y = bitwise_not %same : " + type + "\n  return %y\n}";
 }
 
 TEST_F(PassTest, RemoveIdentityDropsEveryNodeThatOnlyPassesOn) {
-  const std::string after = "graph main {\n  input %x : i8[1,2,3,4]\n  %y = bitwise_not %x : i8[1,2,3,4]\n  return %y\n}";
+  const std::string after =
+      "graph main {\n  input %x : i8[1,2,3,4]\n  %y = bitwise_not %x : i8[1,2,3,4]\n  return %y\n}";
   const std::pair<const char*, const char*> rows[] = {
       {"", "identity %x"},
       {"  const %s : shape[4] = [1,2,3,4]\n", "reshape %x, %s"},
-      {"  const %a : shape[4] = [0,0,0,0]\n  const %b : shape[4] = [1,2,3,4]\n", "slice %x, %a, %b"},
+      {"  const %a : shape[4] = [0,0,0,0]\n  const %b : shape[4] = [1,2,3,4]\n",
+       "slice %x, %a, %b"},
       {"  const %m : shape[4] = [1,1,1,1]\n", "tile %x, %m"},
       {"", "concat %x {axis=3}"},
       {"  const %p : shape[8] = [0,0,0,0,0,0,0,0]\n  const %v : i8[1] = [5]\n", "pad %x, %p, %v"},
@@ -390,10 +407,12 @@ TEST_F(PassTest, RemoveDeadKeepsWhatIsNeededIndirectly) {
 // fold-zero-point
 
 /// A convolution of [1,3,4,2] to two channels with 1x2 kernels.
-std::string conv_graph(const std::string& pad, const std::string& shape, const std::string& zp, const std::string& wzp,
-                       const std::string& weight = "[1,2,3,4,-5,6,-7,8]", const std::string& bias = "i32[2] = [100,-100]") {
-  return "graph main {\n  input %x : i8[1,3,4,2]\n  const %w : i8[2,1,2,2] = " + weight + "\n  const %b : " + bias +
-         "\n  const %zp : i8[1] = [" + zp + "]\n  const %wzp : i8[1] = [" + wzp +
+std::string conv_graph(const std::string& pad, const std::string& shape, const std::string& zp,
+                       const std::string& wzp, const std::string& weight = "[1,2,3,4,-5,6,-7,8]",
+                       const std::string& bias = "i32[2] = [100,-100]") {
+  return "graph main {\n  input %x : i8[1,3,4,2]\n  const %w : i8[2,1,2,2] = " + weight +
+         "\n  const %b : " + bias + "\n  const %zp : i8[1] = [" + zp +
+         "]\n  const %wzp : i8[1] = [" + wzp +
          "]\n  %acc = conv2d %x, %w, %b, %zp, %wzp {pad=" + pad +
          ", stride=[1,1], dilation=[1,1], acc_type=i32} : i32" + shape + "\n  return %acc\n}";
 }
@@ -411,7 +430,8 @@ TEST_F(PassTest, FoldZeroPointMovesTheInputZeroPointIntoTheBias) {
 }
 
 TEST_F(PassTest, FoldZeroPointMakesPadsExplicit) {
-  expect_change("fold-zero-point", conv_graph("[1,0,0,2]", "[1,4,5,2]", "-128", "0"), R"(graph main {
+  expect_change("fold-zero-point", conv_graph("[1,0,0,2]", "[1,4,5,2]", "-128", "0"),
+                R"(graph main {
   input %x : i8[1,3,4,2]
   const %w : i8[2,1,2,2] = [1,2,3,4,-5,6,-7,8]
   const %acc.padding : shape[8] = [0,0,1,0,0,2,0,0]
@@ -437,9 +457,12 @@ TEST_F(PassTest, FoldZeroPointMovesTheWeightZeroPointIntoTheWeights) {
 }
 
 TEST_F(PassTest, FoldZeroPointGivesAOneElementBiasAllChannels) {
-  const PassOutput output = run_pass("fold-zero-point", conv_graph("[0,0,0,0]", "[1,3,3,2]", "1", "0", "[1,2,3,4,-5,6,-7,8]", "i32[1] = [7]"));
+  const PassOutput output = run_pass(
+      "fold-zero-point",
+      conv_graph("[0,0,0,0]", "[1,3,3,2]", "1", "0", "[1,2,3,4,-5,6,-7,8]", "i32[1] = [7]"));
   EXPECT_EQ(output.change, Change::kChanged);
-  EXPECT_NE(output.text.find("const %acc.bias : i32[2] = [-3,5]"), std::string::npos) << output.text;
+  EXPECT_NE(output.text.find("const %acc.bias : i32[2] = [-3,5]"), std::string::npos)
+      << output.text;
 }
 
 TEST_F(PassTest, FoldZeroPointTakesDepthwiseConvolutions) {
@@ -453,18 +476,24 @@ TEST_F(PassTest, FoldZeroPointTakesDepthwiseConvolutions) {
   return %acc
 })");
   EXPECT_EQ(output.change, Change::kChanged);
-  EXPECT_NE(output.text.find("const %acc.weight : i8[1,2,2,2] = [0,1,2,3,4,5,6,7]"), std::string::npos) << output.text;
-  EXPECT_NE(output.text.find("const %acc.bias : i32[4] = [-40,-60,-80,-100]"), std::string::npos) << output.text;
+  EXPECT_NE(output.text.find("const %acc.weight : i8[1,2,2,2] = [0,1,2,3,4,5,6,7]"),
+            std::string::npos)
+      << output.text;
+  EXPECT_NE(output.text.find("const %acc.bias : i32[4] = [-40,-60,-80,-100]"), std::string::npos)
+      << output.text;
   EXPECT_NE(output.text.find("%acc.padded = pad"), std::string::npos) << output.text;
 }
 
 TEST_F(PassTest, FoldZeroPointStaysOutWhereItCannotOrNeedNot) {
   expect_untouched("fold-zero-point", conv_graph("[1,0,0,2]", "[1,4,5,2]", "0", "0"));
   // -128 - 1 and 127 + 1 are no int8 weights.
-  expect_untouched("fold-zero-point", conv_graph("[0,0,0,0]", "[1,3,3,2]", "5", "1", "[-128,0,0,0,0,0,0,0]"));
-  expect_untouched("fold-zero-point", conv_graph("[0,0,0,0]", "[1,3,3,2]", "5", "-1", "[0,0,0,0,0,0,0,127]"));
+  expect_untouched("fold-zero-point",
+                   conv_graph("[0,0,0,0]", "[1,3,3,2]", "5", "1", "[-128,0,0,0,0,0,0,0]"));
+  expect_untouched("fold-zero-point",
+                   conv_graph("[0,0,0,0]", "[1,3,3,2]", "5", "-1", "[0,0,0,0,0,0,0,127]"));
   // A bias of int32 plus or minus 128 * 10 does not fit.
-  const std::string low_bias = conv_graph("[0,0,0,0]", "[1,3,3,2]", "127", "0", "[1,2,3,4,0,0,0,0]", "i32[2] = [-2147482400,0]");
+  const std::string low_bias = conv_graph("[0,0,0,0]", "[1,3,3,2]", "127", "0", "[1,2,3,4,0,0,0,0]",
+                                          "i32[2] = [-2147482400,0]");
   Graph graph = graph_of(low_bias);
   EXPECT_EQ(run("fold-zero-point", graph), Change::kNone);
   EXPECT_EQ(print_text(graph), normal_text(low_bias));
@@ -524,30 +553,38 @@ constexpr const char* kConstants = R"(  const %w : i8[2,1,1,2] = [1,2,3,4]
 
 /// `lines` between inputs %x, %x2 : i8[1,4,4,2] with the constants above and `return`.
 std::string network(const std::string& lines, const std::string& outputs) {
-  return std::string("graph main {\n  input %x : i8[1,4,4,2]\n  input %x2 : i8[1,4,4,2]\n") + kConstants + lines +
-         "  return " + outputs + "\n}";
+  return std::string("graph main {\n  input %x : i8[1,4,4,2]\n  input %x2 : i8[1,4,4,2]\n") +
+         kConstants + lines + "  return " + outputs + "\n}";
 }
-std::string conv(const std::string& result, const std::string& operand, const std::string& group = "") {
+std::string conv(const std::string& result, const std::string& operand,
+                 const std::string& group = "") {
   return "  " + result + " = conv2d " + operand +
-         ", %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,2]" + group + "\n";
+         ", %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : "
+         "i32[1,4,4,2]" +
+         group + "\n";
 }
-std::string rescale(const std::string& result, const std::string& operand, const std::string& group = "") {
+std::string rescale(const std::string& result, const std::string& operand,
+                    const std::string& group = "") {
   return "  " + result + " = rescale " + operand +
          ", %m, %s, %z, %zp {scale32=true, rounding_mode=single} : i8[1,4,4,2]" + group + "\n";
 }
-std::string node(const std::string& line, const std::string& group = "") { return "  " + line + group + "\n"; }
+std::string node(const std::string& line, const std::string& group = "") {
+  return "  " + line + group + "\n";
+}
 
 TEST_F(PassTest, FuseElementwiseTakesTheWholeEpilogue) {
   const auto text = [](const std::string& g) {
     return network(conv("%acc", "%x", g) + rescale("%q", "%acc", g) +
-                       node("%y = clamp %q {min_val=0, max_val=127} : i8[1,4,4,2]", g), "%y");
+                       node("%y = clamp %q {min_val=0, max_val=127} : i8[1,4,4,2]", g),
+                   "%y");
   };
   expect_change("fuse-elementwise", text(""), text(" @1"));
 }
 
 TEST_F(PassTest, FuseElementwiseKeepsAValueWithTwoUsers) {
   expect_untouched("fuse-elementwise", network(conv("%acc", "%x") + rescale("%q", "%acc") +
-                                                   node("%n = abs %acc : i32[1,4,4,2]"), "%q, %n"));
+                                                   node("%n = abs %acc : i32[1,4,4,2]"),
+                                               "%q, %n"));
 }
 
 TEST_F(PassTest, FuseElementwiseTakesAValueThatOneNodeReadsTwice) {
@@ -558,19 +595,25 @@ TEST_F(PassTest, FuseElementwiseTakesAValueThatOneNodeReadsTwice) {
 }
 
 TEST_F(PassTest, FuseElementwiseKeepsGraphOutputs) {
-  expect_untouched("fuse-elementwise", network(conv("%acc", "%x") + rescale("%q", "%acc"), "%acc, %q"));
+  expect_untouched("fuse-elementwise",
+                   network(conv("%acc", "%x") + rescale("%q", "%acc"), "%acc, %q"));
 }
 
 TEST_F(PassTest, FuseElementwiseJoinsOneOfTwoHeads) {
-  expect_change("fuse-elementwise",
-                network(conv("%a", "%x") + conv("%c", "%x2") + node("%y = add %a, %c : i32[1,4,4,2]"), "%y"),
-                network(conv("%a", "%x", " @1") + conv("%c", "%x2") + node("%y = add %a, %c : i32[1,4,4,2]", " @1"), "%y"));
+  expect_change(
+      "fuse-elementwise",
+      network(conv("%a", "%x") + conv("%c", "%x2") + node("%y = add %a, %c : i32[1,4,4,2]"), "%y"),
+      network(conv("%a", "%x", " @1") + conv("%c", "%x2") +
+                  node("%y = add %a, %c : i32[1,4,4,2]", " @1"),
+              "%y"));
 }
 
 TEST_F(PassTest, FuseElementwiseJoinsChainsWithoutAHead) {
   const auto text = [](const std::string& g) {
-    return network(node("%a = cast %x : i32[1,4,4,2]", g) + node("%c = cast %x2 : i32[1,4,4,2]", g) +
-                       node("%y = add %a, %c : i32[1,4,4,2]", g), "%y");
+    return network(node("%a = cast %x : i32[1,4,4,2]", g) +
+                       node("%c = cast %x2 : i32[1,4,4,2]", g) +
+                       node("%y = add %a, %c : i32[1,4,4,2]", g),
+                   "%y");
   };
   expect_change("fuse-elementwise", text(""), text(" @1"));
 }
@@ -587,7 +630,8 @@ TEST_F(PassTest, FuseElementwiseKeepsBroadcastOperands) {
 
 TEST_F(PassTest, FuseElementwiseLeavesViewsToTheOtherPass) {
   expect_untouched("fuse-elementwise", network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]") +
-                                                   node("%y = bitwise_not %r : i8[1,4,4,2]"), "%y"));
+                                                   node("%y = bitwise_not %r : i8[1,4,4,2]"),
+                                               "%y"));
 }
 
 TEST_F(PassTest, FuseElementwiseBindsATwelfthBufferButNoThirteenth) {
@@ -600,7 +644,9 @@ TEST_F(PassTest, FuseElementwiseBindsATwelfthBufferButNoThirteenth) {
     }
     return "graph main {\n" + inputs + lines + "  return " + previous + "\n}";
   };
-  const auto groups = [](const std::string& after) { return collect_groups(graph_of(after)).size(); };
+  const auto groups = [](const std::string& after) {
+    return collect_groups(graph_of(after)).size();
+  };
   EXPECT_EQ(groups(run_pass("fuse-elementwise", text(12)).text), 1u);
   EXPECT_EQ(groups(run_pass("fuse-elementwise", text(13)).text), 2u);
 }
@@ -609,21 +655,29 @@ TEST_F(PassTest, FuseViewsFoldsIntoTheAddressingOfAConvolution) {
   const auto padded = [](const std::string& g) {
     return network("  const %p : shape[8] = [0,0,0,1,1,0,0,0]\n" +
                        node("%v = pad %x, %p, %zp : i8[1,5,5,2]", g) +
-                       node("%y = conv2d %v, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,5,5,2]", g),
+                       node("%y = conv2d %v, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], "
+                            "dilation=[1,1], acc_type=i32} : i32[1,5,5,2]",
+                            g),
                    "%y");
   };
   expect_change("fuse-views", padded(""), padded(" @1"));
   const auto resized = [](const std::string& g) {
-    return network("  const %r : shape[4] = [2,1,2,1]\n  const %o : shape[2] = [0,0]\n  const %e : shape[2] = [1,1]\n" +
-                       node("%v = resize %x, %r, %o, %e {mode=nearest} : i8[1,8,8,2]", g) +
-                       node("%y = conv2d %v, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,8,8,2]", g),
-                   "%y");
+    return network(
+        "  const %r : shape[4] = [2,1,2,1]\n  const %o : shape[2] = [0,0]\n  const %e : shape[2] = "
+        "[1,1]\n" +
+            node("%v = resize %x, %r, %o, %e {mode=nearest} : i8[1,8,8,2]", g) +
+            node("%y = conv2d %v, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], "
+                 "acc_type=i32} : i32[1,8,8,2]",
+                 g),
+        "%y");
   };
   expect_change("fuse-views", resized(""), resized(" @1"));
   const auto joined = [](const std::string& g) {
     return network("  const %w4 : i8[2,1,1,4] = [1,2,3,4,5,6,7,8]\n" +
                        node("%v = concat %x, %x2 {axis=3} : i8[1,4,4,4]", g) +
-                       node("%y = conv2d %v, %w4, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,2]", g),
+                       node("%y = conv2d %v, %w4, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], "
+                            "dilation=[1,1], acc_type=i32} : i32[1,4,4,2]",
+                            g),
                    "%y");
   };
   expect_change("fuse-views", joined(""), joined(" @1"));
@@ -631,26 +685,36 @@ TEST_F(PassTest, FuseViewsFoldsIntoTheAddressingOfAConvolution) {
 
 TEST_F(PassTest, FuseViewsFoldsViewsOfViewsAndElementwiseReaders) {
   const auto text = [](const std::string& g) {
-    return network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]", g) + node("%t = transpose %r {perms=[0,2,1,3]} : i8[1,4,4,2]", g) +
-                       node("%y = bitwise_not %t : i8[1,4,4,2]", g), "%y");
+    return network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]", g) +
+                       node("%t = transpose %r {perms=[0,2,1,3]} : i8[1,4,4,2]", g) +
+                       node("%y = bitwise_not %t : i8[1,4,4,2]", g),
+                   "%y");
   };
   expect_change("fuse-views", text(""), text(" @1"));
 }
 
 TEST_F(PassTest, FuseViewsFoldsIntoAnEpilogue) {
   const auto text = [](const std::string& conv_group, const std::string& g) {
-    return network(conv("%acc", "%x", conv_group) + rescale("%q", "%acc", conv_group) + node("%r = reverse %x2 {axis=1} : i8[1,4,4,2]", g) +
-                       node("%y = bitwise_and %q, %r : i8[1,4,4,2]", conv_group), "%y");
+    return network(conv("%acc", "%x", conv_group) + rescale("%q", "%acc", conv_group) +
+                       node("%r = reverse %x2 {axis=1} : i8[1,4,4,2]", g) +
+                       node("%y = bitwise_and %q, %r : i8[1,4,4,2]", conv_group),
+                   "%y");
   };
   expect_change("fuse-views", text(" @1", ""), text(" @1", " @1"));
 }
 
 TEST_F(PassTest, FuseViewsKeepsOtherHeadsAndOtherViews) {
   // A pool reads every element several times; index arithmetic would repeat.
-  expect_untouched("fuse-views", network("  const %p : shape[8] = [0,0,0,1,1,0,0,0]\n" +
-                                             node("%v = pad %x, %p, %zp : i8[1,5,5,2]") +
-                                             node("%y = max_pool2d %v {kernel=[2,2], stride=[1,1], pad=[0,0,0,0]} : i8[1,4,4,2]"), "%y"));
-  expect_untouched("fuse-views", network(node("%v = reverse %x {axis=1} : i8[1,4,4,2]") + conv("%y", "%v"), "%y"));
+  expect_untouched(
+      "fuse-views",
+      network(
+          "  const %p : shape[8] = [0,0,0,1,1,0,0,0]\n" +
+              node("%v = pad %x, %p, %zp : i8[1,5,5,2]") +
+              node("%y = max_pool2d %v {kernel=[2,2], stride=[1,1], pad=[0,0,0,0]} : i8[1,4,4,2]"),
+          "%y"));
+  expect_untouched(
+      "fuse-views",
+      network(node("%v = reverse %x {axis=1} : i8[1,4,4,2]") + conv("%y", "%v"), "%y"));
 }
 
 TEST_F(PassTest, FuseViewsKeepsAViewOfTheWeights) {
@@ -666,14 +730,20 @@ TEST_F(PassTest, FuseViewsKeepsAViewOfTheWeights) {
 }
 
 TEST_F(PassTest, FuseViewsKeepsViewsThatOthersSee) {
-  expect_untouched("fuse-views", network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]") + node("%y = bitwise_not %r : i8[1,4,4,2]") +
-                                             node("%z2 = bitwise_and %r, %x2 : i8[1,4,4,2]"), "%y, %z2"));
-  expect_untouched("fuse-views", network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]") + node("%y = bitwise_not %r : i8[1,4,4,2]"), "%r, %y"));
+  expect_untouched("fuse-views", network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]") +
+                                             node("%y = bitwise_not %r : i8[1,4,4,2]") +
+                                             node("%z2 = bitwise_and %r, %x2 : i8[1,4,4,2]"),
+                                         "%y, %z2"));
+  expect_untouched("fuse-views", network(node("%r = reverse %x {axis=1} : i8[1,4,4,2]") +
+                                             node("%y = bitwise_not %r : i8[1,4,4,2]"),
+                                         "%r, %y"));
 }
 
 TEST_F(PassTest, FuseViewsLeavesProducersOfViewsAlone) {
   // The reverse could only read the convolution's result from memory.
-  expect_untouched("fuse-views", network(conv("%acc", "%x") + node("%y = reverse %acc {axis=1} : i32[1,4,4,2]"), "%y"));
+  expect_untouched(
+      "fuse-views",
+      network(conv("%acc", "%x") + node("%y = reverse %acc {axis=1} : i32[1,4,4,2]"), "%y"));
 }
 
 // Groups and pipeline
@@ -700,24 +770,33 @@ TEST(Groups, ComeInAnOrderInWhichTheyCanRun) {
 }
 
 std::string two_layers() {
-  return network("  const %dead : i8[1] = [3]\n" + conv("%a", "%x") + rescale("%q", "%a") + node("%i = identity %q : i8[1,4,4,2]") +
-                     "  const %p : shape[8] = [0,0,1,1,1,1,0,0]\n" + node("%pad = pad %i, %p, %zp : i8[1,6,6,2]") +
-                     "  const %w3 : i8[2,3,3,2] = [1,-2,3,-4,5,-6,7,-8,9,1,-2,3,-4,5,-6,7,-8,9,1,-2,3,-4,5,-6,7,-8,9,1,-2,3,-4,5,-6,7,-8,9]\n"
+  return network("  const %dead : i8[1] = [3]\n" + conv("%a", "%x") + rescale("%q", "%a") +
+                     node("%i = identity %q : i8[1,4,4,2]") +
+                     "  const %p : shape[8] = [0,0,1,1,1,1,0,0]\n" +
+                     node("%pad = pad %i, %p, %zp : i8[1,6,6,2]") +
+                     "  const %w3 : i8[2,3,3,2] = "
+                     "[1,-2,3,-4,5,-6,7,-8,9,1,-2,3,-4,5,-6,7,-8,9,1,-2,3,-4,5,-6,7,-8,9,1,-2,3,-4,"
+                     "5,-6,7,-8,9]\n"
                      "  const %zp5 : i8[1] = [5]\n" +
-                     node("%c = conv2d %pad, %w3, %b, %zp5, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,2]") +
+                     node("%c = conv2d %pad, %w3, %b, %zp5, %zp {pad=[0,0,0,0], stride=[1,1], "
+                          "dilation=[1,1], acc_type=i32} : i32[1,4,4,2]") +
                      rescale("%r", "%c") + node("%unused = bitwise_not %dead : i8[1]") +
-                     node("%y = clamp %r {min_val=-100, max_val=100} : i8[1,4,4,2]"), "%y");
+                     node("%y = clamp %r {min_val=-100, max_val=100} : i8[1,4,4,2]"),
+                 "%y");
 }
 
 TEST(Pipeline, RunsItsPassesInOrderAndReportsEach) {
   Graph graph = graph_of(two_layers());
   const Graph before = graph;
   std::vector<std::string> seen;
-  const auto timings = must(run_pipeline(graph, {}, {.optimize = true, .verify_each = true, .after = [&](std::string_view pass, const Graph&) {
-                                                       seen.emplace_back(pass);
-                                                     }}));
-  const std::vector<std::string> order{"infer-shapes", "fold-constants", "remove-identity", "merge-equal", "fold-zero-point",
-                                       "fold-constants", "remove-dead", "fuse-elementwise", "fuse-views"};
+  const auto timings = must(run_pipeline(
+      graph, {},
+      {.optimize = true, .verify_each = true, .after = [&](std::string_view pass, const Graph&) {
+         seen.emplace_back(pass);
+       }}));
+  const std::vector<std::string> order{"infer-shapes", "fold-constants",   "remove-identity",
+                                       "merge-equal",  "fold-zero-point",  "fold-constants",
+                                       "remove-dead",  "fuse-elementwise", "fuse-views"};
   EXPECT_EQ(seen, order);
   ASSERT_EQ(timings.size(), order.size());
   for (size_t i = 0; i < order.size(); ++i) EXPECT_EQ(timings[i].pass, order[i]);
@@ -731,7 +810,8 @@ TEST(Pipeline, RunsItsPassesInOrderAndReportsEach) {
 TEST(Pipeline, WithoutOptimizationOnlyInfersShapes) {
   Graph graph = graph_of(two_layers());
   const std::string before = print_text(graph);
-  const auto timings = must(run_pipeline(graph, {}, {.optimize = false, .verify_each = false, .after = {}}));
+  const auto timings =
+      must(run_pipeline(graph, {}, {.optimize = false, .verify_each = false, .after = {}}));
   ASSERT_EQ(timings.size(), 1u);
   EXPECT_EQ(timings[0].pass, "infer-shapes");
   EXPECT_EQ(timings[0].change, Change::kNone);
@@ -744,12 +824,14 @@ TEST(Pipeline, ReachesAFixedPoint) {
   // The second run may still merge constants that fold-zero-point made; the third finds nothing.
   must(run_pipeline(graph, {}, {}));
   const std::string text = print_text(graph);
-  for (const PassTiming& timing : must(run_pipeline(graph, {}, {}))) EXPECT_EQ(timing.change, Change::kNone) << timing.pass;
+  for (const PassTiming& timing : must(run_pipeline(graph, {}, {})))
+    EXPECT_EQ(timing.change, Change::kNone) << timing.pass;
   EXPECT_EQ(print_text(graph), text);
 }
 
 TEST(Pipeline, RefusesAnIllegalGraph) {
-  Graph graph = must(parse_text("graph main {\n  input %x : i8[2]\n  %y = add %x, %x : i8[2]\n  return %y\n}"));
+  Graph graph = must(
+      parse_text("graph main {\n  input %x : i8[2]\n  %y = add %x, %x : i8[2]\n  return %y\n}"));
   EXPECT_NE(error_text(run_pipeline(graph, {}, {})).find("node %0 \"y\" (add)"), std::string::npos);
 }
 

@@ -8,11 +8,14 @@
 namespace shale {
 namespace {
 
-bool live_together(const LiveInterval& a, const LiveInterval& b) { return a.first <= b.last && b.first <= a.last; }
+bool live_together(const LiveInterval& a, const LiveInterval& b) {
+  return a.first <= b.last && b.first <= a.last;
+}
 
-/// What must hold for every plan: no overlap in memory of what is live together, alignment, an arena that is
-/// exactly as large as the plan needs, and a lower bound that is one.
-void expect_sound(const std::vector<LiveInterval>& intervals, uint64_t alignment, const MemoryPlan& plan) {
+/// What must hold for every plan: no overlap in memory of what is live together, alignment, an
+/// arena that is exactly as large as the plan needs, and a lower bound that is one.
+void expect_sound(const std::vector<LiveInterval>& intervals, uint64_t alignment,
+                  const MemoryPlan& plan) {
   ASSERT_EQ(plan.offsets.size(), intervals.size());
   uint64_t end = 0;
   for (size_t i = 0; i < intervals.size(); ++i) {
@@ -31,7 +34,8 @@ void expect_sound(const std::vector<LiveInterval>& intervals, uint64_t alignment
   for (const LiveInterval& at : intervals) {
     uint64_t live = 0;
     for (const LiveInterval& other : intervals)
-      if (other.first <= at.first && at.first <= other.last) live += (other.size_bytes + alignment - 1) / alignment * alignment;
+      if (other.first <= at.first && at.first <= other.last)
+        live += (other.size_bytes + alignment - 1) / alignment * alignment;
     most = std::max(most, live);
   }
   EXPECT_EQ(plan.lower_bound_bytes, most);
@@ -72,7 +76,8 @@ TEST(Planner, FindsTheOptimumOfAChain) {
 
 TEST(Planner, FindsTheOptimumOfAnHourglass) {
   // An encoder and a decoder without skips: the largest neighbours decide.
-  const std::vector<LiveInterval> intervals{{0, 1, 8192}, {1, 2, 4096}, {2, 3, 1024}, {3, 4, 4096}, {4, 5, 8192}};
+  const std::vector<LiveInterval> intervals{
+      {0, 1, 8192}, {1, 2, 4096}, {2, 3, 1024}, {3, 4, 4096}, {4, 5, 8192}};
   EXPECT_EQ(checked_plan(intervals, 256).arena_bytes, 12288u);
 }
 
@@ -116,7 +121,8 @@ TEST(Planner, NeverOverlapsOnRandomIntervals) {
   }
 }
 
-/// Intervals of networks as they are built for images: a level is half as high and wide, twice as deep.
+/// Intervals of networks as they are built for images: a level is half as high and wide, twice as
+/// deep.
 std::vector<LiveInterval> encoder_decoder(uint32_t levels, uint32_t convs, uint64_t bytes) {
   std::vector<LiveInterval> intervals;
   std::vector<size_t> skips;
@@ -161,8 +167,9 @@ std::vector<LiveInterval> dense_block(uint32_t layers, uint64_t bytes) {
 
 TEST(Planner, StaysWithinAQuarterOfTheLowerBoundOnTypicalNetworks) {
   const std::vector<std::vector<LiveInterval>> networks{
-      encoder_decoder(2, 1, 1 << 20), encoder_decoder(3, 2, 1 << 20), encoder_decoder(5, 2, 16588800),
-      residual_blocks(4, 1 << 18),    residual_blocks(32, 3110400),   dense_block(12, 65536)};
+      encoder_decoder(2, 1, 1 << 20),  encoder_decoder(3, 2, 1 << 20),
+      encoder_decoder(5, 2, 16588800), residual_blocks(4, 1 << 18),
+      residual_blocks(32, 3110400),    dense_block(12, 65536)};
   for (size_t i = 0; i < networks.size(); ++i) {
     SCOPED_TRACE(i);
     const MemoryPlan plan = checked_plan(networks[i], 256);

@@ -21,24 +21,31 @@ RangeProofData proof_of(const Graph& graph) {
 }
 
 /// A convolution of any kind over `x` whose accumulator is the output; zero points as given.
-std::string conv_text(const std::string& op, const std::string& input, const std::string& weight, const std::string& bias,
-                      const std::string& attributes, const std::string& result, int zp, int wzp) {
-  return "graph main {\n  input %x : " + input + "\n  const %w : " + weight + "\n  const %b : " + bias +
-         fmt::format("\n  const %zp : i8[1] = [{}]\n  const %wzp : i8[1] = [{}]\n", zp, wzp) + "  %y = " + op +
-         " %x, %w, %b, %zp, %wzp {" + attributes + ", acc_type=i32} : " + result + "\n  return %y\n}";
+std::string conv_text(const std::string& op, const std::string& input, const std::string& weight,
+                      const std::string& bias, const std::string& attributes,
+                      const std::string& result, int zp, int wzp) {
+  return "graph main {\n  input %x : " + input + "\n  const %w : " + weight +
+         "\n  const %b : " + bias +
+         fmt::format("\n  const %zp : i8[1] = [{}]\n  const %wzp : i8[1] = [{}]\n", zp, wzp) +
+         "  %y = " + op + " %x, %w, %b, %zp, %wzp {" + attributes + ", acc_type=i32} : " + result +
+         "\n  return %y\n}";
 }
 
 std::vector<Graph> all_convolutions() {
   std::vector<Graph> graphs;
   for (const auto& [zp, wzp] : {std::pair{0, 0}, {-128, 0}, {127, 3}, {5, -128}}) {
-    graphs.push_back(graph_of(conv_text("conv2d", "i8[2,4,3,2]", "i8[2,2,1,2] = [1,-2,3,127,-128,0,5,6]", "i32[2] = [1000,-7]",
-                                        "pad=[1,0,0,1], stride=[1,1], dilation=[1,1]", "i32[2,4,4,2]", zp, wzp)));
-    graphs.push_back(graph_of(conv_text("depthwise_conv2d", "i8[1,3,3,2]", "i8[1,2,2,2] = [1,-2,3,127,-128,0,5,6]", "i32[1] = [9]",
-                                        "pad=[0,0,1,1], stride=[1,1], dilation=[1,1]", "i32[1,3,4,4]", zp, wzp)));
-    graphs.push_back(graph_of(conv_text("transpose_conv2d", "i8[1,3,3,2]", "i8[2,2,1,2] = [1,-2,3,127,-128,0,5,6]", "i32[2] = [9,-9]",
-                                        "out_pad=[0,-1,0,2], stride=[2,1]", "i32[1,5,5,2]", zp, wzp)));
-    graphs.push_back(graph_of(conv_text("conv3d", "i8[1,3,2,2,2]", "i8[1,2,2,1,2] = [1,-2,3,127,-128,0,5,6]", "i32[1] = [9]",
-                                        "pad=[0,1,0,0,0,0], stride=[1,1,1], dilation=[1,1,1]", "i32[1,3,1,2,1]", zp, wzp)));
+    graphs.push_back(graph_of(conv_text(
+        "conv2d", "i8[2,4,3,2]", "i8[2,2,1,2] = [1,-2,3,127,-128,0,5,6]", "i32[2] = [1000,-7]",
+        "pad=[1,0,0,1], stride=[1,1], dilation=[1,1]", "i32[2,4,4,2]", zp, wzp)));
+    graphs.push_back(graph_of(conv_text(
+        "depthwise_conv2d", "i8[1,3,3,2]", "i8[1,2,2,2] = [1,-2,3,127,-128,0,5,6]", "i32[1] = [9]",
+        "pad=[0,0,1,1], stride=[1,1], dilation=[1,1]", "i32[1,3,4,4]", zp, wzp)));
+    graphs.push_back(graph_of(
+        conv_text("transpose_conv2d", "i8[1,3,3,2]", "i8[2,2,1,2] = [1,-2,3,127,-128,0,5,6]",
+                  "i32[2] = [9,-9]", "out_pad=[0,-1,0,2], stride=[2,1]", "i32[1,5,5,2]", zp, wzp)));
+    graphs.push_back(graph_of(conv_text(
+        "conv3d", "i8[1,3,2,2,2]", "i8[1,2,2,1,2] = [1,-2,3,127,-128,0,5,6]", "i32[1] = [9]",
+        "pad=[0,1,0,0,0,0], stride=[1,1,1], dilation=[1,1,1]", "i32[1,3,1,2,1]", zp, wzp)));
   }
   return graphs;
 }
@@ -51,7 +58,8 @@ TEST(RangeProof, IsSound) {
     for (uint64_t seed = 1; seed <= 20; ++seed) {
       std::vector<Tensor> inputs = random_inputs(graph, seed);
       if (seed > 5)  // only limits: the largest sums
-        for (int64_t i = 0; i < inputs[0].count(); ++i) inputs[0].set(i, inputs[0].get(i) < 0 ? -128 : 127);
+        for (int64_t i = 0; i < inputs[0].count(); ++i)
+          inputs[0].set(i, inputs[0].get(i) < 0 ? -128 : 127);
       const std::vector<Tensor> outputs = must(interpret(graph, inputs));
       for (int64_t i = 0; i < outputs[0].count(); ++i) {
         const size_t c = static_cast<size_t>(i) % channels;
@@ -66,8 +74,9 @@ TEST(RangeProof, BoundsEveryPartialSumOfRawProducts) {
   // Kernels multiply raw bytes, in any order; a padded tap reads the zero point.
   std::mt19937_64 random(5);
   for (const int zp : {-128, 0, 90}) {
-    const Graph graph = graph_of(conv_text("conv2d", "i8[1,1,1,8]", "i8[1,1,1,8] = [1,-2,3,127,-128,0,5,6]", "i32[1] = [77]",
-                                           "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,1]", zp, 3));
+    const Graph graph = graph_of(
+        conv_text("conv2d", "i8[1,1,1,8]", "i8[1,1,1,8] = [1,-2,3,127,-128,0,5,6]", "i32[1] = [77]",
+                  "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,1]", zp, 3));
     const int64_t magnitude = proof_of(graph).magnitude[0];
     const std::vector<int64_t> weights = graph.value(*graph.find_value("w")).constant->ints();
     int64_t reached = 0;
@@ -76,7 +85,9 @@ TEST(RangeProof, BoundsEveryPartialSumOfRawProducts) {
       for (size_t i = 0; i < weights.size(); ++i) {
         const int64_t w = weights[i] - 3;
         // One of: left out so far, the limits, anything.
-        const int64_t x = random() % 4 == 0 ? 0 : random() % 2 == 0 ? (w < 0 ? 127 : -128) : static_cast<int8_t>(random());
+        const int64_t x = random() % 4 == 0   ? 0
+                          : random() % 2 == 0 ? (w < 0 ? 127 : -128)
+                                              : static_cast<int8_t>(random());
         sum += x * w;
       }
       reached = std::max(reached, std::abs(sum));
@@ -89,20 +100,25 @@ TEST(RangeProof, BoundsEveryPartialSumOfRawProducts) {
 TEST(RangeProof, IsTight) {
   // One window over the whole input: every product can be at its limit at once.
   for (const auto& [zp, wzp] : {std::pair{0, 0}, {-128, 0}, {127, 3}, {5, -128}}) {
-    const Graph graph = graph_of(conv_text("conv2d", "i8[1,2,1,3]", "i8[2,2,1,3] = [1,-2,3,127,-128,0,5,6,-7,8,9,-10]",
-                                           "i32[2] = [1000,-7]", "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,2]", zp, wzp));
+    const Graph graph =
+        graph_of(conv_text("conv2d", "i8[1,2,1,3]",
+                           "i8[2,2,1,3] = [1,-2,3,127,-128,0,5,6,-7,8,9,-10]", "i32[2] = [1000,-7]",
+                           "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,2]", zp, wzp));
     const RangeProofData proof = proof_of(graph);
     const std::vector<int64_t> weights = graph.value(*graph.find_value("w")).constant->ints();
     for (size_t c = 0; c < 2; ++c) {
       for (const bool largest : {false, true}) {
         Tensor input = Tensor::zeros({DType::kInt8, {1, 2, 1, 3}});
-        // A product of (x - zp): x at the limit, or at the zero point, whichever is the extreme one.
+        // A product of (x - zp): x at the limit, or at the zero point, whichever is the extreme
+        // one.
         for (size_t i = 0; i < 6; ++i) {
           const int64_t w = weights[c * 6 + i] - wzp;
           input.set(static_cast<int64_t>(i), (w > 0) == largest ? 127 : -128);
         }
-        const int64_t found = must(interpret(graph, std::vector{input}))[0].get(static_cast<int64_t>(c));
-        EXPECT_EQ(found, largest ? proof.max[c] : proof.min[c]) << "channel " << c << ", zero points " << zp << " and " << wzp;
+        const int64_t found =
+            must(interpret(graph, std::vector{input}))[0].get(static_cast<int64_t>(c));
+        EXPECT_EQ(found, largest ? proof.max[c] : proof.min[c])
+            << "channel " << c << ", zero points " << zp << " and " << wzp;
       }
     }
   }
@@ -125,14 +141,18 @@ TEST(RangeProof, UsesWhatIsKnownOfTheInput) {
 }
 
 TEST(RangeProof, NeedsConstantWeightsAndBias) {
-  for (const char* inputs : {"input %w : i8[1,1,1,2]\n const %b : i32[1] = [0]", "const %w : i8[1,1,1,2] = [1,2]\n input %b : i32[1]"}) {
-    const Graph graph = graph_of(std::string("graph main {\n input %x : i8[1,1,1,2]\n const %zp : i8[1] = [0]\n ") + inputs +
-                                 "\n %y = conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}"
-                                 " : i32[1,1,1,1]\n return %y\n}");
+  for (const char* inputs : {"input %w : i8[1,1,1,2]\n const %b : i32[1] = [0]",
+                             "const %w : i8[1,1,1,2] = [1,2]\n input %b : i32[1]"}) {
+    const Graph graph = graph_of(
+        std::string("graph main {\n input %x : i8[1,1,1,2]\n const %zp : i8[1] = [0]\n ") + inputs +
+        "\n %y = conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], "
+        "acc_type=i32}"
+        " : i32[1,1,1,1]\n return %y\n}");
     EXPECT_FALSE(prove_ranges(graph, collect_groups(graph)[0]));
   }
-  const Graph pool = graph_of("graph main {\n input %x : i8[1,2,2,1]\n %y = max_pool2d %x {kernel=[2,2], stride=[1,1], "
-                              "pad=[0,0,0,0]} : i8[1,1,1,1]\n return %y\n}");
+  const Graph pool = graph_of(
+      "graph main {\n input %x : i8[1,2,2,1]\n %y = max_pool2d %x {kernel=[2,2], stride=[1,1], "
+      "pad=[0,0,0,0]} : i8[1,1,1,1]\n return %y\n}");
   EXPECT_FALSE(prove_ranges(pool, collect_groups(pool)[0]));
 }
 
@@ -182,22 +202,27 @@ CompileOptions plain_options() {
 }
 
 TEST(RangeProof, NamesTheChannelThatMayLeaveInt32) {
-  const Graph graph = graph_of(conv_text("conv2d", "i8[1,1,1,1]", "i8[3,1,1,1] = [1,1,1]", "i32[3] = [0,2147483521,-2147483648]",
-                                         "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,3]", 0, 0));
+  const Graph graph = graph_of(conv_text(
+      "conv2d", "i8[1,1,1,1]", "i8[3,1,1,1] = [1,1,1]", "i32[3] = [0,2147483521,-2147483648]",
+      "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,3]", 0, 0));
   CompileOptions options = plain_options();
   const Compiled compiled = must(compile_graph(graph, 0, options));
   ASSERT_EQ(compiled.warnings.size(), 1u);
-  EXPECT_EQ(compiled.warnings[0], "node %0 \"y\" (conv2d): channel 1 may leave int32: its accumulator is only known to lie in "
-                                  "2147483393..2147483648");
+  EXPECT_EQ(
+      compiled.warnings[0],
+      "node %0 \"y\" (conv2d): channel 1 may leave int32: its accumulator is only known to lie in "
+      "2147483393..2147483648");
   options.require_proof = true;
-  EXPECT_EQ(error_text(compile_graph(graph, 0, options)), "--require-proof: " + compiled.warnings[0]);
+  EXPECT_EQ(error_text(compile_graph(graph, 0, options)),
+            "--require-proof: " + compiled.warnings[0]);
 }
 
 TEST(RangeProof, AcceptsBoundsAtTheLimitsOfInt32) {
   CompileOptions options = plain_options();
   options.require_proof = true;
-  const Graph graph = graph_of(conv_text("conv2d", "i8[1,1,1,1]", "i8[2,1,1,1] = [1,1]", "i32[2] = [2147483520,-2147483520]",
-                                         "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,2]", 0, 0));
+  const Graph graph = graph_of(
+      conv_text("conv2d", "i8[1,1,1,1]", "i8[2,1,1,1] = [1,1]", "i32[2] = [2147483520,-2147483520]",
+                "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,2]", 0, 0));
   EXPECT_TRUE(must(compile_graph(graph, 0, options)).warnings.empty());
 }
 
@@ -214,11 +239,13 @@ TEST(RangeProof, NamesAConvolutionThatCannotBeBounded) {
   EXPECT_EQ(must(compile_graph(graph, 0, options)).warnings.size(), 1u);
   options.require_proof = true;
   EXPECT_EQ(error_text(compile_graph(graph, 0, options)),
-            "--require-proof: node %0 \"y\" (conv2d): weights or bias are no constants, so its accumulators cannot be bounded");
+            "--require-proof: node %0 \"y\" (conv2d): weights or bias are no constants, so its "
+            "accumulators cannot be bounded");
 }
 
 TEST(RangeProof, GoesIntoThePackage) {
-  const Compiled compiled = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, plain_options()));
+  const Compiled compiled =
+      must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, plain_options()));
   const std::vector<RangeProof>& proofs = compiled.package.variants[0].proofs;
   ASSERT_EQ(proofs.size(), 1u);
   EXPECT_EQ(proofs[0].name, "acc");
@@ -231,14 +258,24 @@ TEST(RangeProof, GoesIntoThePackage) {
 TEST(RangeProof, DecidesBetweenFloatAndInteger) {
   // channels * 128 * 128 reaches 2^24 with 1024 channels.
   for (const int64_t ic : {1023, 1024}) {
-    const Graph graph = ConvCase{.name = "limit", .h = 1, .w = 1, .ic = ic, .oc = 1, .kh = 1, .kw = 1, .pad = {0, 0, 0, 0},
-                                 .epilogue = Epilogue::kNone, .weight_min = -128, .weight_max = -128}
+    const Graph graph = ConvCase{.name = "limit",
+                                 .h = 1,
+                                 .w = 1,
+                                 .ic = ic,
+                                 .oc = 1,
+                                 .kh = 1,
+                                 .kw = 1,
+                                 .pad = {0, 0, 0, 0},
+                                 .epilogue = Epilogue::kNone,
+                                 .weight_min = -128,
+                                 .weight_max = -128}
                             .graph();
     const int64_t magnitude = proof_of(graph).magnitude[0];
     EXPECT_EQ(magnitude, ic * 128 * 128);
     EXPECT_EQ(magnitude < kFloatExact, ic == 1023);
     const Compiled compiled = must(compile_graph(graph, 0, plain_options()));
-    EXPECT_EQ(compiled.package.variants[0].segments[0].dispatches[0].kernel, ic == 1023 ? "conv2d_s8_f32exact" : "conv2d_s8_i32");
+    EXPECT_EQ(compiled.package.variants[0].segments[0].dispatches[0].kernel,
+              ic == 1023 ? "conv2d_s8_f32exact" : "conv2d_s8_i32");
   }
 }
 

@@ -11,7 +11,8 @@ namespace shale {
 namespace {
 
 /// The kernel of the group that holds the convolution, after the passes.
-std::string selected(Graph graph, std::string_view target = "lavapipe", std::vector<std::string> allowed = {}) {
+std::string selected(Graph graph, std::string_view target = "lavapipe",
+                     std::vector<std::string> allowed = {}) {
   must(run_pipeline(graph, {}, {}));
   for (Group& group : collect_groups(graph)) {
     if (!group.head) continue;
@@ -25,18 +26,22 @@ std::string selected(Graph graph, std::string_view target = "lavapipe", std::vec
 
 TEST(Select, TakesFloatForProvenConvolutionsOnLavapipe) {
   for (const ConvCase& row : edge_conv_cases())
-    EXPECT_EQ(selected(row.graph()), row.name == "beyond_float" ? "conv2d_s8_i32" : "conv2d_s8_f32exact") << row.name;
+    EXPECT_EQ(selected(row.graph()),
+              row.name == "beyond_float" ? "conv2d_s8_i32" : "conv2d_s8_f32exact")
+        << row.name;
 }
 
 TEST(Select, KeepsWeightsInBuffersOnGpus) {
-  for (const ConvCase& row : edge_conv_cases()) EXPECT_EQ(selected(row.graph(), "generic-gpu"), "generic") << row.name;
+  for (const ConvCase& row : edge_conv_cases())
+    EXPECT_EQ(selected(row.graph(), "generic-gpu"), "generic") << row.name;
 }
 
 TEST(Select, ObeysTheListOfAllowedFamilies) {
   const Graph graph = ConvCase{.name = "plain"}.graph();
   EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32"}), "conv2d_s8_i32");
   EXPECT_EQ(selected(graph, "lavapipe", {"generic"}), "generic");
-  EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32", "conv2d_s8_f32exact"}), "conv2d_s8_f32exact");
+  EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32", "conv2d_s8_f32exact"}),
+            "conv2d_s8_f32exact");
   // The generic kernel serves where no allowed family can.
   EXPECT_EQ(selected(graph, "generic-gpu", {"conv2d_s8_i32"}), "generic");
 }
@@ -44,28 +49,35 @@ TEST(Select, ObeysTheListOfAllowedFamilies) {
 TEST(Select, LeavesOtherHeadsToTheGenericKernel) {
   const char* const rows[] = {
       "const %w : i8[1,1,2,2] = [1,2,3,4]\n const %b : i32[4] = [0,0,0,0]\n"
-      "%y = depthwise_conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,4]",
+      "%y = depthwise_conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], "
+      "acc_type=i32} : i32[1,4,4,4]",
       "const %w : i8[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n"
-      "%y = transpose_conv2d %x, %w, %b, %zp, %zp {out_pad=[0,0,0,0], stride=[1,1], acc_type=i32} : i32[1,4,4,1]",
+      "%y = transpose_conv2d %x, %w, %b, %zp, %zp {out_pad=[0,0,0,0], stride=[1,1], acc_type=i32} "
+      ": i32[1,4,4,1]",
       "%y = max_pool2d %x {kernel=[2,2], stride=[1,1], pad=[0,0,0,0]} : i8[1,3,3,2]",
       "%y = reduce_max %x {axis=1} : i8[1,1,4,2]",
   };
   for (const char* row : rows)
-    EXPECT_EQ(selected(graph_of(std::string("graph main {\n input %x : i8[1,4,4,2]\n const %zp : i8[1] = [0]\n") + row +
-                                "\n return %y\n}")),
+    EXPECT_EQ(selected(graph_of(
+                  std::string("graph main {\n input %x : i8[1,4,4,2]\n const %zp : i8[1] = [0]\n") +
+                  row + "\n return %y\n}")),
               "generic")
         << row;
 }
 
 TEST(Select, LeavesConvolutionsWithoutConstantInt8WeightsToTheGenericKernel) {
   const char* const rows[] = {
-      "input %x : i8[1,4,4,2]\n input %w : i8[1,1,1,2]\n const %b : i32[1] = [0]\n const %wzp : i8[1] = [0]",
-      "input %x : i8[1,4,4,2]\n const %w : i8[1,1,1,2] = [1,2]\n input %b : i32[1]\n const %wzp : i8[1] = [0]",
-      "input %x : i8[1,4,4,2]\n const %w : i4[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n const %wzp : i4[1] = [0]",
+      "input %x : i8[1,4,4,2]\n input %w : i8[1,1,1,2]\n const %b : i32[1] = [0]\n const %wzp : "
+      "i8[1] = [0]",
+      "input %x : i8[1,4,4,2]\n const %w : i8[1,1,1,2] = [1,2]\n input %b : i32[1]\n const %wzp : "
+      "i8[1] = [0]",
+      "input %x : i8[1,4,4,2]\n const %w : i4[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n const "
+      "%wzp : i4[1] = [0]",
   };
   for (const char* row : rows)
     EXPECT_EQ(selected(graph_of(std::string("graph main {\n const %zp : i8[1] = [0]\n ") + row +
-                                "\n %y = conv2d %x, %w, %b, %zp, %wzp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}"
+                                "\n %y = conv2d %x, %w, %b, %zp, %wzp {pad=[0,0,0,0], "
+                                "stride=[1,1], dilation=[1,1], acc_type=i32}"
                                 " : i32[1,4,4,1]\n return %y\n}")),
               "generic")
         << row;
@@ -88,14 +100,16 @@ TEST(Select, LeavesOtherPadsToTheGenericKernel) {
 
 /// A 1x1 convolution of [n,h,w,1]; nothing of that size is allocated.
 std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc) {
-  return selected(graph_of(fmt::format(R"(graph main {{
+  return selected(graph_of(fmt::format(
+      R"(graph main {{
   input %x : i8[{0},{1},{2},1]
   const %zp : i8[1] = [0]
   const %w : i8[{3},1,1,1] = [{4}1]
   const %b : i32[1] = [0]
   %y = conv2d %x, %w, %b, %zp, %zp {{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}} : i32[{0},{1},{2},{3}]
   return %y
-}})", n, h, w, oc, replaced(std::string(static_cast<size_t>(oc - 1), '1'), "1", "1,"))));
+}})",
+      n, h, w, oc, replaced(std::string(static_cast<size_t>(oc - 1), '1'), "1", "1,"))));
 }
 
 TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {

@@ -10,7 +10,8 @@ namespace shale {
 
 int64_t Random::between(int64_t min, int64_t max) {
   const uint64_t span = static_cast<uint64_t>(max) - static_cast<uint64_t>(min) + 1;
-  return static_cast<int64_t>(static_cast<uint64_t>(min) + (span == 0 ? engine_() : engine_() % span));
+  return static_cast<int64_t>(static_cast<uint64_t>(min) +
+                              (span == 0 ? engine_() : engine_() % span));
 }
 
 namespace {
@@ -33,7 +34,9 @@ Spread random_spread(Random& random, DType dtype) {
     case 2:
     case 3:
     case 4: return {bits <= 8 ? Spread::kWhole : Spread::kBits, random.between(1, bits - 1)};
-    default: return {bits <= 16 || random.chance(15) ? Spread::kWhole : Spread::kBits, random.between(1, 16)};
+    default:
+      return {bits <= 16 || random.chance(15) ? Spread::kWhole : Spread::kBits,
+              random.between(1, 16)};
   }
 }
 
@@ -57,7 +60,9 @@ class Builder {
 
   RandomGraph build() {
     const int64_t wanted = random_.between(1, 8);
-    for (int attempt = 0; attempt < 400 && static_cast<int64_t>(graph_.nodes.size()) < wanted; ++attempt) add_node();
+    for (int attempt = 0; attempt < 400 && static_cast<int64_t>(graph_.nodes.size()) < wanted;
+         ++attempt)
+      add_node();
     choose_outputs();
     RandomGraph result{std::move(graph_), {}};
     for (const ValueId id : result.graph.inputs) result.inputs.push_back(tensors_[id.index]);
@@ -75,17 +80,23 @@ class Builder {
 
   void add_node() {
     const size_t values = graph_.values.size(), inputs = graph_.inputs.size();
-    const Op op = random_op();
+    // Now and then a node once more, for the pass that merges equal ones.
+    const bool repeat = !graph_.nodes.empty() && random_.chance(6);
+    const Node repeated = repeat ? random_.pick(graph_.nodes) : Node{};
+    const Op op = repeat ? repeated.op : random_op();
     const auto roll_back = [&] {
       graph_.values.resize(values);
       tensors_.resize(values);
       graph_.inputs.resize(inputs);
     };
-    Maybe draft = draw(op);
+    Maybe draft = !repeat           ? draw(op)
+                  : op == Op::kCast ? draw_cast(repeated.inputs[0])
+                                    : Draft{repeated.attrs, repeated.inputs};
     if (!draft) return roll_back();
     const NodeId id{static_cast<uint32_t>(graph_.nodes.size())};
-    const ValueId result = graph_.add_node(op, std::move(draft->attrs), std::move(draft->operands),
-                                           fmt::format("v{}", graph_.values.size()), {draft->result, {}});
+    const ValueId result =
+        graph_.add_node(op, std::move(draft->attrs), std::move(draft->operands),
+                        fmt::format("v{}", graph_.values.size()), {draft->result, {}});
     tensors_.emplace_back();
     const auto drop = [&](uint64_t& count) {
       ++count;
@@ -93,10 +104,12 @@ class Builder {
       roll_back();
     };
     const Result<TensorType> type = infer_result(graph_, id);
-    if (!type || element_count(type->shape).value_or(INT64_MAX) > kMaxTensorElements) return drop(counts_.illegal);
+    if (!type || element_count(type->shape).value_or(INT64_MAX) > kMaxTensorElements)
+      return drop(counts_.illegal);
     graph_.value(result).type = *type;
     std::vector<const Tensor*> operands;
-    for (const ValueId operand : graph_.node(id).inputs) operands.push_back(&tensors_[operand.index]);
+    for (const ValueId operand : graph_.node(id).inputs)
+      operands.push_back(&tensors_[operand.index]);
     Result<Tensor> tensor = evaluate_node(graph_, id, operands);
     if (!tensor) return drop(counts_.unpredictable);
     tensors_[result.index] = *std::move(tensor);
@@ -104,19 +117,24 @@ class Builder {
     ++counts_.ops[op];
   }
 
-  /// Mostly any operator; now and then what real networks have next, so that fusion sees its patterns.
+  /// Mostly any operator; now and then what real networks have next, so that fusion sees its
+  /// patterns.
   Op random_op() {
     if (!graph_.nodes.empty() && random_.chance(45)) {
       const TensorType& last = type(graph_.nodes.back().output);
       if (last.dtype == DType::kInt48) return Op::kRescale;
       if (last.dtype == DType::kInt32)
-        return random_.pick(std::vector<Op>{Op::kRescale, Op::kRescale, Op::kRescale, Op::kAdd, Op::kMaximum});
+        return random_.pick(
+            std::vector<Op>{Op::kRescale, Op::kRescale, Op::kRescale, Op::kAdd, Op::kMaximum});
       if (last.dtype == DType::kInt8 && last.shape.size() == 4)
-        return random_.pick(std::vector<Op>{Op::kConv2d, Op::kConv2d, Op::kConv2d, Op::kClamp, Op::kTable, Op::kResize,
-                                            Op::kPad, Op::kConcat, Op::kRescale, Op::kDepthwiseConv2d});
+        return random_.pick(std::vector<Op>{Op::kConv2d, Op::kConv2d, Op::kConv2d, Op::kClamp,
+                                            Op::kTable, Op::kResize, Op::kPad, Op::kConcat,
+                                            Op::kRescale, Op::kDepthwiseConv2d});
     }
     if (graph_.nodes.empty() && random_.chance(35)) return Op::kConv2d;
-    return all_ops()[static_cast<size_t>(random_.between(0, static_cast<int64_t>(all_ops().size()) - 1))].op;
+    return all_ops()[static_cast<size_t>(
+                         random_.between(0, static_cast<int64_t>(all_ops().size()) - 1))]
+        .op;
   }
 
   Maybe draw(Op op) {
@@ -173,10 +191,12 @@ class Builder {
       case Op::kGather:
       case Op::kScatter: return draw_gather(op);
       case Op::kResize: return draw_resize();
-      case Op::kCast: return draw_cast();
+      case Op::kCast: return draw_cast(pick(kAny));
       case Op::kRescale: return draw_rescale();
       case Op::kIdentity:
-        return Draft{{}, {pick({DType::kBool, DType::kInt4, DType::kInt8, DType::kInt16, DType::kInt32, DType::kInt48})}};
+        return Draft{{},
+                     {pick({DType::kBool, DType::kInt4, DType::kInt8, DType::kInt16, DType::kInt32,
+                            DType::kInt48})}};
     }
     return std::nullopt;
   }
@@ -193,7 +213,9 @@ class Builder {
   ValueId constant(DType dtype, Shape shape, const Ints& values) {
     return constant(Tensor::from_ints({dtype, std::move(shape)}, values));
   }
-  ValueId list(const Ints& values) { return constant(DType::kShape, {static_cast<int64_t>(values.size())}, values); }
+  ValueId list(const Ints& values) {
+    return constant(DType::kShape, {static_cast<int64_t>(values.size())}, values);
+  }
 
   /// A graph input, or a constant of the same data.
   ValueId leaf(Tensor data, int constant_percent) {
@@ -226,10 +248,12 @@ class Builder {
   }
   size_t random_rank(size_t min, size_t max) {
     if (min <= 4 && max >= 4 && random_.chance(50)) return 4;
-    return static_cast<size_t>(random_.between(static_cast<int64_t>(min), static_cast<int64_t>(max)));
+    return static_cast<size_t>(
+        random_.between(static_cast<int64_t>(min), static_cast<int64_t>(max)));
   }
 
-  /// A value of one of the types and a rank in min..max: mostly a late one of the graph, else a leaf.
+  /// A value of one of the types and a rank in min..max: mostly a late one of the graph, else a
+  /// leaf.
   ValueId pick(const std::vector<DType>& dtypes, size_t min_rank = 0, size_t max_rank = 6) {
     std::vector<ValueId> found;
     for (uint32_t i = 0; i < graph_.values.size(); ++i) {
@@ -238,7 +262,8 @@ class Builder {
                         value.type.shape.size() >= min_rank && value.type.shape.size() <= max_rank;
       if (fits && (!value.is_constant() || random_.chance(10))) found.push_back({i});
     }
-    if (!found.empty() && random_.chance(88)) return random_.chance(65) ? found.back() : random_.pick(found);
+    if (!found.empty() && random_.chance(88))
+      return random_.chance(65) ? found.back() : random_.pick(found);
     return random_leaf(random_.pick(dtypes), random_shape(random_rank(min_rank, max_rank)), 12);
   }
 
@@ -253,13 +278,15 @@ class Builder {
 
   ValueId zero_point(DType dtype) {
     int64_t value = 0;
-    if (dtype == DType::kInt8) value = random_.pick(Ints{0, 0, -128, 127, random_.between(-128, 127)});
+    if (dtype == DType::kInt8)
+      value = random_.pick(Ints{0, 0, -128, 127, random_.between(-128, 127)});
     return constant(dtype, {1}, {value});
   }
 
   Attrs nan(Attrs attrs = {}) { return attrs.set(Attr::kNanMode, random_.between(1, 2)); }
 
-  /// A stride under which a window of `span` comes out exact on `room` elements more; 0 if it does not fit.
+  /// A stride under which a window of `span` comes out exact on `room` elements more; 0 if it does
+  /// not fit.
   int64_t random_stride(int64_t room) {
     if (room < 0) return 0;
     if (room == 0) return random_.pick(Ints{1, 2, 9, 8192});
@@ -286,7 +313,8 @@ class Builder {
       kernel.push_back(random_.pick(Ints{1, 2, 3, 3, 5}));
       pad.push_back(random_.between(0, kernel[i] - 1));
       pad.push_back(random_.between(0, kernel[i] - 1));
-      stride.push_back(random_stride(type(x).shape[i + 1] + pad[2 * i] + pad[2 * i + 1] - kernel[i]));
+      stride.push_back(
+          random_stride(type(x).shape[i + 1] + pad[2 * i] + pad[2 * i + 1] - kernel[i]));
       if (stride[i] == 0) return std::nullopt;
     }
     Attrs attrs;
@@ -298,7 +326,8 @@ class Builder {
   }
 
   /// Weight, bias and the two zero points; the result's element type goes into `acc_type`.
-  std::vector<ValueId> conv_operands(ValueId x, Shape weight_shape, int64_t channels, DType& acc_type) {
+  std::vector<ValueId> conv_operands(ValueId x, Shape weight_shape, int64_t channels,
+                                     DType& acc_type) {
     const bool is_int16 = type(x).dtype == DType::kInt16;
     acc_type = is_int16 ? DType::kInt48 : DType::kInt32;
     const DType weight_type = !is_int16 && random_.chance(12) ? DType::kInt4 : DType::kInt8;
@@ -310,7 +339,8 @@ class Builder {
 
   Maybe draw_conv(Op op) {
     const size_t axes = op == Op::kConv3d ? 3 : 2;
-    const ValueId x = pick({DType::kInt8, DType::kInt8, DType::kInt8, DType::kInt16}, axes + 2, axes + 2);
+    const ValueId x =
+        pick({DType::kInt8, DType::kInt8, DType::kInt8, DType::kInt16}, axes + 2, axes + 2);
     const Shape& in = type(x).shape;
     Ints kernel, stride, pad, dilation;
     for (size_t i = 0; i < axes; ++i) {
@@ -319,7 +349,8 @@ class Builder {
       const bool padded = random_.chance(60);
       pad.push_back(padded ? random_.between(0, 4) : 0);
       pad.push_back(padded ? random_.between(0, 4) : 0);
-      stride.push_back(random_stride(in[i + 1] + pad[2 * i] + pad[2 * i + 1] - (kernel[i] - 1) * dilation[i] - 1));
+      stride.push_back(random_stride(in[i + 1] + pad[2 * i] + pad[2 * i + 1] -
+                                     (kernel[i] - 1) * dilation[i] - 1));
       if (stride[i] == 0) return std::nullopt;
     }
     const int64_t in_channels = in.back();
@@ -338,7 +369,8 @@ class Builder {
     const std::vector<ValueId> operands = conv_operands(x, weight, channels, acc_type);
     Attrs attrs;
     attrs.set(Attr::kPad, pad).set(Attr::kStride, stride).set(Attr::kDilation, dilation);
-    attrs.set(Attr::kLocalBound, random_.between(0, 1)).set(Attr::kAccType, static_cast<int64_t>(acc_type));
+    attrs.set(Attr::kLocalBound, random_.between(0, 1))
+        .set(Attr::kAccType, static_cast<int64_t>(acc_type));
     return Draft{attrs, operands};
   }
 
@@ -400,7 +432,8 @@ class Builder {
       const TensorType& other = graph_.values[i].type;
       bool fits = other.dtype == wanted.dtype && other.shape.size() == wanted.shape.size();
       for (size_t axis = 0; fits && axis < wanted.shape.size(); ++axis)
-        fits = other.shape[axis] == wanted.shape[axis] || other.shape[axis] == 1 || wanted.shape[axis] == 1;
+        fits = other.shape[axis] == wanted.shape[axis] || other.shape[axis] == 1 ||
+               wanted.shape[axis] == 1;
       if (fits) found.push_back({i});
     }
     if (!found.empty() && random_.chance(50)) return random_.pick(found);
@@ -411,13 +444,15 @@ class Builder {
     const ValueId a = pick(dtypes);
     const ValueId b = broadcasting(a);
     const bool has_nan_mode = op == Op::kMaximum || op == Op::kMinimum;
-    return Draft{has_nan_mode ? nan() : Attrs(), random_.chance(50) ? std::vector{a, b} : std::vector{b, a}};
+    return Draft{has_nan_mode ? nan() : Attrs(),
+                 random_.chance(50) ? std::vector{a, b} : std::vector{b, a}};
   }
 
   Maybe draw_shift(Op op) {
     const ValueId a = pick(kInts);
     const DType dtype = type(a).dtype;
-    const ValueId b = bounded_leaf(dtype, broadcast_partner(type(a).shape), 0, dtype_info(dtype).bits - 1);
+    const ValueId b =
+        bounded_leaf(dtype, broadcast_partner(type(a).shape), 0, dtype_info(dtype).bits - 1);
     Attrs attrs;
     if (op == Op::kArithmeticRightShift) attrs.set(Attr::kRound, random_.between(0, 1));
     return Draft{attrs, {a, b}};
@@ -434,7 +469,8 @@ class Builder {
   Maybe draw_mul() {
     const ValueId a = pick(kInts);
     const ValueId b = broadcasting(a);
-    const int64_t shift = type(a).dtype == DType::kInt32 ? random_.pick(Ints{0, 0, 1, 2, 15, 31, 32, 33, 62, 63}) : 0;
+    const int64_t shift =
+        type(a).dtype == DType::kInt32 ? random_.pick(Ints{0, 0, 1, 2, 15, 31, 32, 33, 62, 63}) : 0;
     return Draft{{}, {a, b, constant(DType::kInt8, {1}, {shift})}};
   }
 
@@ -452,17 +488,20 @@ class Builder {
     const ValueId condition = pick({DType::kBool});
     const Shape shape = type(condition).shape;
     const DType dtype = random_.pick(kAny);
-    return Draft{{}, {condition, partner({dtype, broadcast_partner(shape)}), partner({dtype, shape})}};
+    return Draft{{},
+                 {condition, partner({dtype, broadcast_partner(shape)}), partner({dtype, shape})}};
   }
 
   Maybe draw_concat() {
     const ValueId x = pick(kAny, 1);
-    const size_t axis = static_cast<size_t>(random_.between(0, static_cast<int64_t>(type(x).shape.size()) - 1));
+    const size_t axis =
+        static_cast<size_t>(random_.between(0, static_cast<int64_t>(type(x).shape.size()) - 1));
     std::vector<ValueId> operands{x};
     for (int64_t more = random_.between(0, 3); more > 0; --more) {
       TensorType other = type(x);
       if (random_.chance(60)) other.shape[axis] = random_dim();
-      operands.insert(operands.begin() + random_.between(0, static_cast<int64_t>(operands.size())), partner(other));
+      operands.insert(operands.begin() + random_.between(0, static_cast<int64_t>(operands.size())),
+                      partner(other));
     }
     return Draft{Attrs().set(Attr::kAxis, static_cast<int64_t>(axis)), operands};
   }
@@ -470,9 +509,11 @@ class Builder {
   Maybe draw_pad() {
     const ValueId x = pick(kAny, 1);
     Ints padding;
-    for (size_t i = 0; i < 2 * type(x).shape.size(); ++i) padding.push_back(random_.chance(60) ? 0 : random_.between(1, 3));
+    for (size_t i = 0; i < 2 * type(x).shape.size(); ++i)
+      padding.push_back(random_.chance(60) ? 0 : random_.between(1, 3));
     const IntRange range = dtype_range(type(x).dtype);
-    const int64_t value = random_.pick(Ints{0, range.min, range.max, random_.between(range.min, range.max)});
+    const int64_t value =
+        random_.pick(Ints{0, range.min, range.max, random_.between(range.min, range.max)});
     return Draft{{}, {x, list(padding), constant(type(x).dtype, {1}, {value})}};
   }
 
@@ -494,7 +535,8 @@ class Builder {
     Ints start, size;
     for (const int64_t dim : type(x).shape) {
       start.push_back(random_.chance(40) ? 0 : random_.between(0, dim - 1));
-      size.push_back(random_.chance(40) ? dim - start.back() : random_.between(1, dim - start.back()));
+      size.push_back(random_.chance(40) ? dim - start.back()
+                                        : random_.between(1, dim - start.back()));
     }
     return Draft{{}, {x, list(start), list(size)}};
   }
@@ -502,7 +544,8 @@ class Builder {
   Maybe draw_tile() {
     const ValueId x = pick(kAny, 1);
     Ints multiples;
-    for (size_t i = 0; i < type(x).shape.size(); ++i) multiples.push_back(random_.chance(60) ? 1 : random_.between(1, 3));
+    for (size_t i = 0; i < type(x).shape.size(); ++i)
+      multiples.push_back(random_.chance(60) ? 1 : random_.between(1, 3));
     return Draft{{}, {x, list(multiples)}};
   }
 
@@ -524,10 +567,12 @@ class Builder {
       Ints order;
       for (int64_t i = 0; i < rows; ++i) order.insert(order.begin() + random_.between(0, i), i);
       for (int64_t w = 0; w < width; ++w)
-        indices.set(n * width + w, op == Op::kGather ? random_.between(0, rows - 1) : order[static_cast<size_t>(w)]);
+        indices.set(n * width + w, op == Op::kGather ? random_.between(0, rows - 1)
+                                                     : order[static_cast<size_t>(w)]);
     }
     std::vector<ValueId> operands{values, leaf(std::move(indices), 50)};
-    if (op == Op::kScatter) operands.push_back(partner({type(values).dtype, {shape[0], width, shape[2]}}));
+    if (op == Op::kScatter)
+      operands.push_back(partner({type(values).dtype, {shape[0], width, shape[2]}}));
     return Draft{{}, operands};
   }
 
@@ -538,9 +583,11 @@ class Builder {
       const int64_t extent = type(x).shape[i + 1];
       const bool large = random_.chance(15);
       const int64_t n = large ? random_.between(100, 2048) : random_.pick(Ints{1, 2, 2, 3, 4, 5});
-      const int64_t d = large ? random_.between(n / 4 + 1, 16 * n - 1) : random_.between(1, std::min<int64_t>(16 * n - 1, 5));
+      const int64_t d = large ? random_.between(n / 4 + 1, 16 * n - 1)
+                              : random_.between(1, std::min<int64_t>(16 * n - 1, 5));
       const int64_t last = (extent - 1) * n;
-      int64_t off = random_.chance(40) ? 0 : random_.between(-n, std::min(16 * n - 1, last + n - 1));
+      int64_t off =
+          random_.chance(40) ? 0 : random_.between(-n, std::min(16 * n - 1, last + n - 1));
       int64_t edge = random_.chance(30) ? n - 1 : random_.between(-n, n - 1);
       if (last - off + edge < 0) off = -n;
       const int64_t room = last - off + edge;
@@ -553,43 +600,50 @@ class Builder {
                  {x, list(scale), list(offset), list(border)}};
   }
 
-  Maybe draw_cast() {
-    const ValueId x = pick(kAny);
+  Maybe draw_cast(ValueId x) {
     std::vector<DType> others = kAny;
     std::erase(others, type(x).dtype);
     return Draft{{}, {x}, random_.pick(others)};
   }
 
   Maybe draw_rescale() {
-    const ValueId x = pick({DType::kInt8, DType::kInt16, DType::kInt32, DType::kInt32, DType::kInt48});
+    const ValueId x =
+        pick({DType::kInt8, DType::kInt16, DType::kInt32, DType::kInt32, DType::kInt48});
     const DType from = type(x).dtype;
-    const DType to = random_.pick(std::vector{DType::kInt8, DType::kInt8, DType::kInt16, DType::kInt32});
+    const DType to =
+        random_.pick(std::vector{DType::kInt8, DType::kInt8, DType::kInt16, DType::kInt32});
     const bool scale32 = from != DType::kInt48 && random_.chance(75);
     const auto narrow = [](DType dtype) { return dtype == DType::kInt8 || dtype == DType::kInt16; };
     const bool input_unsigned = narrow(from) && narrow(to) && random_.chance(25);
-    const bool output_unsigned = narrow(from) && narrow(to) && !input_unsigned && random_.chance(25);
+    const bool output_unsigned =
+        narrow(from) && narrow(to) && !input_unsigned && random_.chance(25);
     const bool per_channel = !type(x).shape.empty() && random_.chance(45);
     const int64_t channels = per_channel ? type(x).shape.back() : 1;
-    // What a multiplier and a shift may be depends on the largest value; mostly they fit, or are extreme.
+    // What a multiplier and a shift may be depends on the largest value; mostly they fit, or are
+    // extreme.
     int64_t largest = 1;
-    for (int64_t i = 0; i < tensor(x).count(); ++i) largest = std::max(largest, std::abs(tensor(x).get(i)));
+    for (int64_t i = 0; i < tensor(x).count(); ++i)
+      largest = std::max(largest, std::abs(tensor(x).get(i)));
     int64_t bits = 1;
     while (bits < 48 && (int64_t{1} << bits) <= largest) ++bits;
-    if (narrow(from)) bits = std::max<int64_t>(bits, input_unsigned ? dtype_info(from).bits : 2) + 1;
+    if (narrow(from))
+      bits = std::max<int64_t>(bits, input_unsigned ? dtype_info(from).bits : 2) + 1;
     Ints multiplier, shift;
     const bool extreme = random_.chance(20);
     for (int64_t c = 0; c < channels; ++c) {
       const int64_t top = scale32 ? INT32_MAX : INT16_MAX;
-      multiplier.push_back(extreme            ? random_.pick(Ints{0, 1, top, top, top / 2 + 1})
+      multiplier.push_back(extreme             ? random_.pick(Ints{0, 1, top, top, top / 2 + 1})
                            : random_.chance(5) ? 0
-                                              : random_.between(top / 2 + 1, top));
+                                               : random_.between(top / 2 + 1, top));
       const int64_t width = scale32 ? 31 : 15;
       const int64_t least = std::clamp<int64_t>(std::max(bits + 1, bits + width - 31), 2, 62);
       shift.push_back(extreme ? random_.pick(Ints{2, least, 31, 32, 33, 62})
-                              : random_.between(least, std::min<int64_t>(62, std::max(least, bits + width - 4))));
+                              : random_.between(least, std::min<int64_t>(
+                                                           62, std::max(least, bits + width - 4))));
     }
     const auto zero = [&](DType dtype, bool is_unsigned) {
-      if (is_unsigned && dtype == DType::kInt16) return constant(dtype, {1}, {random_.chance(50) ? 0 : -32768});
+      if (is_unsigned && dtype == DType::kInt16)
+        return constant(dtype, {1}, {random_.chance(50) ? 0 : -32768});
       return zero_point(dtype);
     };
     Attrs attrs;
@@ -602,21 +656,25 @@ class Builder {
     return Draft{attrs, {x, m, s, in_zp, zero(to, output_unsigned)}};
   }
 
-  /// Every result that nobody reads, some that somebody reads, now and then an input, a constant, a repeat.
+  /// Every result that nobody reads, some that somebody reads, now and then an input, a constant, a
+  /// repeat.
   void choose_outputs() {
     const std::vector<uint32_t> uses = graph_.use_counts();
     std::vector<ValueId> leaves = graph_.inputs;
     for (uint32_t i = 0; i < graph_.values.size(); ++i)
-      if (graph_.values[i].is_constant() && graph_.values[i].type.dtype != DType::kShape) leaves.push_back({i});
+      if (graph_.values[i].is_constant() && graph_.values[i].type.dtype != DType::kShape)
+        leaves.push_back({i});
     for (const Node& node : graph_.nodes)
       if (uses[node.output.index] == 0 || random_.chance(12)) graph_.outputs.push_back(node.output);
-    if (!leaves.empty() && (graph_.outputs.empty() || random_.chance(4))) graph_.outputs.push_back(random_.pick(leaves));
+    if (!leaves.empty() && (graph_.outputs.empty() || random_.chance(4)))
+      graph_.outputs.push_back(random_.pick(leaves));
     if (graph_.outputs.empty()) graph_.outputs.push_back(random_leaf(DType::kInt8, {1}, 0));
     if (random_.chance(4)) graph_.outputs.push_back(graph_.outputs.front());
   }
 
   inline static const std::vector<DType> kInts{DType::kInt8, DType::kInt16, DType::kInt32};
-  inline static const std::vector<DType> kAny{DType::kBool, DType::kInt8, DType::kInt16, DType::kInt32};
+  inline static const std::vector<DType> kAny{DType::kBool, DType::kInt8, DType::kInt16,
+                                              DType::kInt32};
 
   Random random_;
   RandomGraphCounts& counts_;
@@ -629,10 +687,13 @@ class Builder {
 Tensor random_tensor(Random& random, const TensorType& type) {
   const Spread spread = random_spread(random, type.dtype);
   Tensor tensor = Tensor::zeros(type);
-  for (int64_t i = 0; i < tensor.count(); ++i) tensor.set(i, random_element(random, type.dtype, spread));
+  for (int64_t i = 0; i < tensor.count(); ++i)
+    tensor.set(i, random_element(random, type.dtype, spread));
   return tensor;
 }
 
-RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts) { return Builder(seed, counts).build(); }
+RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts) {
+  return Builder(seed, counts).build();
+}
 
 }  // namespace shale

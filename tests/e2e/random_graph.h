@@ -1,5 +1,5 @@
-// tests/e2e/random_graph.h -- seeded random graphs over the whole integer profile, at the extremes of
-// shapes and attributes.
+// tests/e2e/random_graph.h -- seeded random graphs over the whole integer profile, at the extremes
+// of shapes and attributes.
 #pragma once
 
 #include <cstdint>
@@ -44,8 +44,8 @@ struct RandomGraphCounts {
   std::map<Op, uint64_t> ops;  ///< kept nodes
 };
 
-/// Nodes are drawn one by one and evaluated at once; one that is illegal or without a result is drawn
-/// again, so every graph is predictable for its inputs. Adds to `counts`.
+/// Nodes are drawn one by one and evaluated at once; one that is illegal or without a result is
+/// drawn again, so every graph is predictable for its inputs. Adds to `counts`.
 RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts);
 
 }  // namespace shale

@@ -1,8 +1,10 @@
-// Differential test over random graphs: for each, the interpreter on the raw graph, the interpreter after the
-// pass pipeline, and the device with passes must agree bit for bit; so must the device with the same nodes
-// unfused, and for every fourth graph the device without passes.
+// Differential test over random graphs: for each, the interpreter on the raw graph, the interpreter
+// after the pass pipeline, and the device with passes must agree bit for bit; so must the device
+// with the same nodes unfused, and for every fourth graph the device without passes.
 //
 // A graph's seed is its number: `random_graph_test --seed 1234 --count 1` repeats one that failed.
+#include "tests/e2e/random_graph.h"
+
 #include <fmt/format.h>
 
 #include <memory>
@@ -11,7 +13,6 @@
 #include "ir/reference/interpreter.h"
 #include "ir/text/text.h"
 #include "ir/verify/verify.h"
-#include "tests/e2e/random_graph.h"
 #include "tools/shale/device_run.h"
 
 namespace shale {
@@ -28,7 +29,8 @@ struct Arguments {
 /// What did not hold, or nothing.
 using Failure = std::optional<std::string>;
 
-Failure compare(const char* what, const Result<std::vector<Tensor>>& found, const std::vector<Tensor>& expected) {
+Failure compare(const char* what, const Result<std::vector<Tensor>>& found,
+                const std::vector<Tensor>& expected) {
   if (!found) return fmt::format("{}: {}", what, found.error().text());
   if (found->size() != expected.size())
     return fmt::format("{}: {} outputs, expected {}", what, found->size(), expected.size());
@@ -51,16 +53,19 @@ class Checker {
   explicit Checker(const ToolDevice& device) : device_(device) {}
 
   Failure check(const RandomGraph& random, bool without_passes) {
-    if (const auto verified = verify(random.graph); !verified) return "the raw graph: " + verified.error().text();
+    if (const auto verified = verify(random.graph); !verified)
+      return "the raw graph: " + verified.error().text();
     const Result<std::vector<Tensor>> raw = interpret(random.graph, random.inputs);
     if (!raw) return "the interpreter: " + raw.error().text();
     const std::vector<Tensor>& expected = *raw;
 
     const Result<Compiled> compiled = compile_graph(random.graph, 0, options(true));
     if (!compiled) return "compiling with passes: " + compiled.error().text();
-    if (const auto failure = compare("the interpreter after the passes", interpret(compiled->graph, random.inputs), expected))
+    if (const auto failure = compare("the interpreter after the passes",
+                                     interpret(compiled->graph, random.inputs), expected))
       return failure;
-    if (const auto failure = run("the device with passes", *compiled, random, expected)) return failure;
+    if (const auto failure = run("the device with passes", *compiled, random, expected))
+      return failure;
 
     Graph unfused = compiled->graph;
     bool was_fused = false;
@@ -81,11 +86,14 @@ class Checker {
   std::map<std::string, uint64_t> kernels;  ///< dispatches of each family
 
  private:
-  Failure run(const char* what, const Compiled& compiled, const RandomGraph& random, const std::vector<Tensor>& expected) {
+  Failure run(const char* what, const Compiled& compiled, const RandomGraph& random,
+              const std::vector<Tensor>& expected) {
     // What the runtime gets is what a file holds.
     const Result<Package> package = read_package(write_package(compiled.package));
-    if (!package) return fmt::format("{}: its package is refused: {}", what, package.error().text());
-    for (const Dispatch& dispatch : package->variants[0].segments[0].dispatches) ++kernels[dispatch.kernel];
+    if (!package)
+      return fmt::format("{}: its package is refused: {}", what, package.error().text());
+    for (const Dispatch& dispatch : package->variants[0].segments[0].dispatches)
+      ++kernels[dispatch.kernel];
     return compare(what, run_network(device_, *package, random.inputs), expected);
   }
 
@@ -93,8 +101,8 @@ class Checker {
 };
 
 int run(const Arguments& arguments) {
-  fmt::print("graphs {} to {}, the first {} under validation\n", arguments.seed, arguments.seed + arguments.count - 1,
-             arguments.validated);
+  fmt::print("graphs {} to {}, the first {} under validation\n", arguments.seed,
+             arguments.seed + arguments.count - 1, arguments.validated);
   RandomGraphCounts counts;
   std::map<std::string, uint64_t> kernels;
   uint64_t failures = 0, fused = 0;
@@ -102,7 +110,8 @@ int run(const Arguments& arguments) {
   for (uint64_t i = 0; i < arguments.count; ++i) {
     const bool validated = i < arguments.validated;
     if (i == 0 || i == arguments.validated) {
-      Result<ToolDevice> opened = ToolDevice::open({.name = {}, .cache = {}, .validation = validated});
+      Result<ToolDevice> opened =
+          ToolDevice::open({.name = {}, .cache = {}, .validation = validated});
       if (!opened) {
         fmt::print("skipped: {}\n", opened.error().text());
         return opened.error().code == ErrorCode::kDevice ? kNoDevice : 1;
@@ -123,9 +132,10 @@ int run(const Arguments& arguments) {
     if (failures == 10) break;
   }
   const uint64_t drawn = counts.kept + counts.illegal + counts.unpredictable;
-  fmt::print("{} nodes drawn: {} kept, {:.1f} % illegal, {:.1f} % without a result; {} graphs fused\n", drawn, counts.kept,
-             100.0 * static_cast<double>(counts.illegal) / static_cast<double>(drawn),
-             100.0 * static_cast<double>(counts.unpredictable) / static_cast<double>(drawn), fused);
+  fmt::print(
+      "{} nodes drawn: {} kept, {:.1f} % illegal, {:.1f} % without a result; {} graphs fused\n",
+      drawn, counts.kept, 100.0 * static_cast<double>(counts.illegal) / static_cast<double>(drawn),
+      100.0 * static_cast<double>(counts.unpredictable) / static_cast<double>(drawn), fused);
   for (const auto& [name, count] : kernels) fmt::print("{} dispatches of {}\n", count, name);
   for (const OpInfo& info : all_ops()) {
     fmt::print("{} {}\n", counts.ops[info.op], info.name);
@@ -144,9 +154,12 @@ int run(const Arguments& arguments) {
 int main(int count, char** values) {
   shale::Arguments arguments;
   CLI::App app("Differential test over random graphs");
-  app.add_option("--seed", arguments.seed, "seed of the first graph; the next one has the next number")->envname("SHALE_RANDOM_SEED");
+  app.add_option("--seed", arguments.seed,
+                 "seed of the first graph; the next one has the next number")
+      ->envname("SHALE_RANDOM_SEED");
   app.add_option("--count", arguments.count, "number of graphs")->envname("SHALE_RANDOM_COUNT");
-  app.add_option("--validated", arguments.validated, "how many of them run under the validation layer");
+  app.add_option("--validated", arguments.validated,
+                 "how many of them run under the validation layer");
   CLI11_PARSE(app, count, values);
   return shale::run(arguments);
 }

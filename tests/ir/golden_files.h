@@ -21,12 +21,14 @@ inline std::vector<GoldenFile> golden_files() {
   const fs::path root = fs::path(SHALE_SHARED_DIR) / "golden" / "tosa";
   std::vector<GoldenFile> files;
   std::error_code error;
-  for (fs::recursive_directory_iterator it(root, error), end; !error && it != end; it.increment(error)) {
+  for (fs::recursive_directory_iterator it(root, error), end; !error && it != end;
+       it.increment(error)) {
     if (it->path().extension() != ".tosa") continue;
     if (Result<std::vector<uint8_t>> bytes = read_file(it->path().string()))
       files.push_back({fs::relative(it->path().parent_path(), root).string(), *std::move(bytes)});
   }
-  std::sort(files.begin(), files.end(), [](const GoldenFile& a, const GoldenFile& b) { return a.name < b.name; });
+  std::sort(files.begin(), files.end(),
+            [](const GoldenFile& a, const GoldenFile& b) { return a.name < b.name; });
   return files;
 }
 

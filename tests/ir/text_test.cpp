@@ -75,8 +75,9 @@ graph main {  # and one behind
 
 TEST(Text, PrintsSmallConstantsAsListsAndLargeOnesAsHex) {
   Graph graph;
-  graph.outputs = {graph.add_constant("a", Tensor::zeros({DType::kInt16, {kMaxListedElements}})),
-                   graph.add_constant("b", Tensor::zeros({DType::kInt16, {kMaxListedElements + 1}}))};
+  graph.outputs = {
+      graph.add_constant("a", Tensor::zeros({DType::kInt16, {kMaxListedElements}})),
+      graph.add_constant("b", Tensor::zeros({DType::kInt16, {kMaxListedElements + 1}}))};
   const std::string text = print_text(graph);
   EXPECT_NE(text.find("const %a : i16[64] = [0,0,"), std::string::npos);
   EXPECT_NE(text.find("const %b : i16[65] = hex \"0000"), std::string::npos);
@@ -85,21 +86,27 @@ TEST(Text, PrintsSmallConstantsAsListsAndLargeOnesAsHex) {
 
 TEST(Text, RoundTripsEveryTypeAtItsLimits) {
   Graph graph;
-  for (const DType dtype : {DType::kBool, DType::kInt4, DType::kInt8, DType::kInt16, DType::kInt32, DType::kInt48}) {
+  for (const DType dtype :
+       {DType::kBool, DType::kInt4, DType::kInt8, DType::kInt16, DType::kInt32, DType::kInt48}) {
     const IntRange range = dtype_range(dtype);
     Tensor tensor = Tensor::zeros({dtype, {3, 100}});
-    for (int64_t i = 0; i < tensor.count(); ++i) tensor.set(i, i % 3 == 0 ? range.min : i % 3 == 1 ? range.max : 1);
-    graph.outputs.push_back(graph.add_constant("large_" + std::string(dtype_info(dtype).name), tensor));
-    graph.outputs.push_back(graph.add_constant("small", Tensor::from_ints({dtype, {2}}, Ints{range.min, range.max})));
+    for (int64_t i = 0; i < tensor.count(); ++i)
+      tensor.set(i, i % 3 == 0 ? range.min : i % 3 == 1 ? range.max : 1);
+    graph.outputs.push_back(
+        graph.add_constant("large_" + std::string(dtype_info(dtype).name), tensor));
+    graph.outputs.push_back(
+        graph.add_constant("small", Tensor::from_ints({dtype, {2}}, Ints{range.min, range.max})));
   }
   expect_round_trip(graph);
 }
 
 TEST(Text, RoundTripsNamesOfAnyCharacters) {
-  for (const std::string& name : {std::string("plain_1.$/-"), std::string("a b"), std::string("%x"), std::string("\"quoted\""),
-                                  std::string("back\\slash"), std::string("\\x41"), std::string("line\nbreak\ttab"),
-                                  std::string("\x01\x7f"), std::string("d\xc3\xbcne"), std::string("\xff\xfe"), std::string("a,b}"),
-                                  std::string("# no comment"), std::string("nul\0inside", 10), std::string("return"), std::string("@1")}) {
+  for (const std::string& name :
+       {std::string("plain_1.$/-"), std::string("a b"), std::string("%x"),
+        std::string("\"quoted\""), std::string("back\\slash"), std::string("\\x41"),
+        std::string("line\nbreak\ttab"), std::string("\x01\x7f"), std::string("d\xc3\xbcne"),
+        std::string("\xff\xfe"), std::string("a,b}"), std::string("# no comment"),
+        std::string("nul\0inside", 10), std::string("return"), std::string("@1")}) {
     SCOPED_TRACE(name);
     Graph graph;
     graph.name = name;
@@ -113,7 +120,8 @@ TEST(Text, RoundTripsEveryAttribute) {
   for (const OpInfo& info : all_ops()) {
     Graph graph;
     std::vector<ValueId> operands;
-    for (uint32_t i = 0; i < info.min_operands; ++i) operands.push_back(graph.add_input("x", {DType::kInt8, {1}}));
+    for (uint32_t i = 0; i < info.min_operands; ++i)
+      operands.push_back(graph.add_input("x", {DType::kInt8, {1}}));
     Attrs attrs;
     for (const Attr attr : info.attrs) {
       switch (attr_info(attr).kind) {
@@ -150,36 +158,52 @@ TEST(Text, SaysWhereAndWhatIsWrong) {
       {"graph main", "line 1, column 11", "expected '{'"},
       {"graph \"main", "line 1, column 12", "the string has no end"},
       {"graph \"ma\\xg0\" {", "line 1, column 12", "expected two hexadecimal digits"},
-      {"graph main {\n  output %x", "line 2, column 9", "expected 'input', 'const', a node or 'return'"},
+      {"graph main {\n  output %x", "line 2, column 9",
+       "expected 'input', 'const', a node or 'return'"},
       {"graph main {\n  input x : i8[2]", "line 2, column 9", "expected '%'"},
       {"graph main {\n  input % : i8[2]", "line 2, column 11", "expected a name after '%'"},
       {"graph main {\n  input %x i8[2]", "line 2, column 12", "expected ':'"},
       {"graph main {\n  input %x : u8[2]", "line 2, column 16", "'u8' is no element type"},
-      {"graph main {\n  input %x : shape[2]", "line 2, column 22", "an input is a tensor, not a shape"},
+      {"graph main {\n  input %x : shape[2]", "line 2, column 22",
+       "an input is a tensor, not a shape"},
       {"graph main {\n  input %x : i8[0]", "line 2, column 18", "dimension 0 is below 1"},
       {"graph main {\n  input %x : i8[2", "line 2, column 18", "expected ']'"},
-      {"graph main {\n  input %x : i8[1,1,1,1,1,1,1]", "line 2, column 31", "rank 7 is above the level's 6"},
-      {"graph main {\n  input %x : i8[99999999999999999999]", "line 2, column 17", "expected an integer of 64 bits"},
+      {"graph main {\n  input %x : i8[1,1,1,1,1,1,1]", "line 2, column 31",
+       "rank 7 is above the level's 6"},
+      {"graph main {\n  input %x : i8[99999999999999999999]", "line 2, column 17",
+       "expected an integer of 64 bits"},
       {head + "  input %x : i8[2]" + tail, "line 3, column 19", "%x is defined twice"},
-      {head + "  const %c : i8[2] = [1,200]" + tail, "line 3, column 29", "200 is outside -128..127"},
+      {head + "  const %c : i8[2] = [1,200]" + tail, "line 3, column 29",
+       "200 is outside -128..127"},
       {head + "  const %c : i4[1] = [-8]" + tail, "line 3, column 26", "-8 is outside -7..7"},
-      {head + "  const %c : i8[2] = [1]" + tail, "line 3, column 25", "found 1 elements, i8[2] has 2"},
+      {head + "  const %c : i8[2] = [1]" + tail, "line 3, column 25",
+       "found 1 elements, i8[2] has 2"},
       {head + "  const %c : i8[?] = [1]" + tail, "line 3, column 19", "i8[?] has no fixed size"},
-      {head + "  const %c : i8[2] = hex \"00\"" + tail, "line 3, column 29", "expected two hexadecimal digits"},
-      {head + "  const %c : i8[2147483647] = hex \"00\"" + tail, "line 3, column 36", "expected 2147483647 bytes of hex"},
-      {head + "  const %c : i8[2] = hex \"00g1\"" + tail, "line 3, column 29", "expected two hexadecimal digits"},
+      {head + "  const %c : i8[2] = hex \"00\"" + tail, "line 3, column 29",
+       "expected two hexadecimal digits"},
+      {head + "  const %c : i8[2147483647] = hex \"00\"" + tail, "line 3, column 36",
+       "expected 2147483647 bytes of hex"},
+      {head + "  const %c : i8[2] = hex \"00g1\"" + tail, "line 3, column 29",
+       "expected two hexadecimal digits"},
       {head + "  const %c : i8[2] = 5" + tail, "line 3, column 23", "expected 'hex'"},
-      {head + "  const %c : shape[13] = []" + tail, "line 3, column 23", "a shape has 0 to 12 elements"},
+      {head + "  const %c : shape[13] = []" + tail, "line 3, column 23",
+       "a shape has 0 to 12 elements"},
       {head + "  %y = negat %x : i8[2]" + tail, "line 3, column 13", "'negat' is no operator"},
       {head + "  %y = abs %z : i8[2]" + tail, "line 3, column 14", "%z is not defined above"},
-      {head + "  %y = abs %x, %x : i8[2]" + tail, "line 3, column 19", "abs has 2 operands, expected 1 to 1"},
-      {head + "  %y = reverse %x {perms=[0]} : i8[2]" + tail, "line 3, column 25", "reverse has no attribute 'perms'"},
+      {head + "  %y = abs %x, %x : i8[2]" + tail, "line 3, column 19",
+       "abs has 2 operands, expected 1 to 1"},
+      {head + "  %y = reverse %x {perms=[0]} : i8[2]" + tail, "line 3, column 25",
+       "reverse has no attribute 'perms'"},
       {head + "  %y = reverse %x {axis [0]} : i8[2]" + tail, "line 3, column 25", "expected '='"},
-      {head + "  %y = max_pool2d %x {nan_mode=maybe} : i8[2]" + tail, "line 3, column 37", "'maybe' is no value of nan_mode"},
+      {head + "  %y = max_pool2d %x {nan_mode=maybe} : i8[2]" + tail, "line 3, column 37",
+       "'maybe' is no value of nan_mode"},
       {head + "  %y = reverse %x {axis=0 : i8[2]" + tail, "line 3, column 27", "expected '}'"},
-      {head + "  %y = reverse %x : shape[2]" + tail, "line 3, column 29", "a node's result is a tensor, not a shape"},
-      {head + "  %y = reverse %x : i8[2] @0" + tail, "line 3, column 29", "a group is a number above 0"},
-      {head + "  %y = reverse %x : i8[2] @4294967296" + tail, "line 3, column 38", "a group is a number above 0"},
+      {head + "  %y = reverse %x : shape[2]" + tail, "line 3, column 29",
+       "a node's result is a tensor, not a shape"},
+      {head + "  %y = reverse %x : i8[2] @0" + tail, "line 3, column 29",
+       "a group is a number above 0"},
+      {head + "  %y = reverse %x : i8[2] @4294967296" + tail, "line 3, column 38",
+       "a group is a number above 0"},
       {head + "  return %y\n}", "line 3, column 12", "%y is not defined above"},
       {head + "  return %x", "line 3, column 12", "expected '}'"},
       {head + "  return %x\n} more", "line 4, column 3", "expected the end of the text"},
@@ -211,7 +235,8 @@ TEST(Text, SurvivesEveryCut) {
   const std::string text = small_text();
   ASSERT_TRUE(parse_text(text)) << parse_text(text).error().text();
   const size_t end = text.rfind('}');
-  for (size_t length = 0; length <= end; ++length) EXPECT_FALSE(parse_text(std::string_view(text).substr(0, length))) << length;
+  for (size_t length = 0; length <= end; ++length)
+    EXPECT_FALSE(parse_text(std::string_view(text).substr(0, length))) << length;
 }
 
 TEST(Text, SurvivesAnyByteAnywhere) {

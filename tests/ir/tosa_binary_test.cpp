@@ -1,9 +1,8 @@
-#include "ir/binary/tosa.h"
-
 #include <gtest/gtest.h>
 
 #include <random>
 
+#include "ir/binary/tosa.h"
 #include "ir/text/text.h"
 #include "ir/verify/verify.h"
 #include "tests/ir/golden_files.h"
@@ -97,7 +96,8 @@ TEST(TosaBinary, RefusesEveryCut) {
   EXPECT_GT(bytes.size() + 8, write_tosa(small_model()).size());
   for (size_t length = 0; length < bytes.size(); ++length) {
     // A copy of its own, so that reading behind the end is seen by the tools that look for it.
-    const std::vector<uint8_t> cut(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(length));
+    const std::vector<uint8_t> cut(bytes.begin(),
+                                   bytes.begin() + static_cast<std::ptrdiff_t>(length));
     const Result<Graph> graph = read_tosa(cut);
     ASSERT_FALSE(graph) << "cut to " << length << " of " << bytes.size() << " bytes";
     EXPECT_EQ(graph.error().code, ErrorCode::kBadInput) << length;
@@ -110,7 +110,8 @@ TEST(TosaBinary, RefusesOtherFiles) {
   EXPECT_FALSE(is_tosa(bytes));
   const Result<Graph> graph = read_tosa(bytes);
   ASSERT_FALSE(graph);
-  EXPECT_EQ(graph.error().text(), "offset 4: found the file identifier \"XOSA\", expected \"TOSA\"");
+  EXPECT_EQ(graph.error().text(),
+            "offset 4: found the file identifier \"XOSA\", expected \"TOSA\"");
 }
 
 /// Reads damaged bytes: an error, or a graph that the rest of the program can work with.

@@ -37,20 +37,7 @@ void write(const fs::path& path, const std::string& text) { std::ofstream(path, 
 const std::string kModels = SHALE_SOURCE_DIR "/models";
 
 /// A graph of two operators in text form.
-constexpr const char* kSmallGraph = R"(graph main {
-  input %x : i8[1,4,4,1]
-  const %w : i8[1,3,3,1] = [1,2,3,4,5,6,7,8,9]
-  const %b : i32[1] = [10]
-  const %zp : i8[1] = [-3]
-  const %zero : i8[1] = [0]
-  const %zero32 : i32[1] = [0]
-  const %m : i32[1] = [1073741824]
-  const %s : i8[1] = [36]
-  %acc = conv2d %x, %w, %b, %zp, %zero {pad=[1,1,1,1], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,1]
-  %y = rescale %acc, %m, %s, %zero32, %zero {scale32=true, rounding_mode=single} : i8[1,4,4,1]
-  return %y
-}
-)";
+const std::string kSmallGraph = read(SHALE_SOURCE_DIR "/tests/tools/small.tir");
 
 class Cli : public testing::Test {
  protected:
@@ -95,7 +82,7 @@ TEST_F(Cli, TheSamePackageTwice) {
 }
 
 TEST_F(Cli, ARefusedModelLeavesNoFile) {
-  write(file("bad.tir"), std::string(kSmallGraph).substr(0, 200));
+  write(file("bad.tir"), kSmallGraph.substr(0, 200));
   const Outcome outcome = shale("compile " + file("bad.tir") + " -o " + file("out.shale"));
   EXPECT_EQ(outcome.exit, 1);
   EXPECT_NE(outcome.text.find("error: "), std::string::npos);

@@ -140,9 +140,9 @@ Result<int> conform(const Arguments& arguments) {
     for (size_t i = 0; i < cases.size(); ++i) {
       if (!progress.step(i, cases.size())) return bad_input("", "interrupted");
       Outcome outcome = runner.run(cases[i]);
-      if (device && outcome.passed) {
+      if (device) {
         const std::vector<std::string> messages = device->take_validation_messages();
-        if (!messages.empty()) outcome.passed = false, outcome.detail = "validation: " + messages.front();
+        if (outcome.passed && !messages.empty()) outcome.passed = false, outcome.detail = "validation: " + messages.front();
       }
       passed += outcome.passed ? 1 : 0;
       if (!outcome.passed) failures.push_back({{"case", outcome.name}, {"detail", outcome.detail}});
