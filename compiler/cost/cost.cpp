@@ -7,7 +7,8 @@ namespace shale {
 namespace {
 
 bool is_convolution(Op op) {
-  return op == Op::kConv2d || op == Op::kConv3d || op == Op::kDepthwiseConv2d || op == Op::kTransposeConv2d;
+  return op == Op::kConv2d || op == Op::kConv3d || op == Op::kDepthwiseConv2d ||
+         op == Op::kTransposeConv2d;
 }
 
 uint64_t elements(const Graph& graph, ValueId id) {
@@ -18,7 +19,8 @@ uint64_t bytes(const Graph& graph, ValueId id) {
   return elements(graph, id) * dtype_info(graph.value(id).type.dtype).host_bytes;
 }
 
-/// Products per position of a convolution: the weight's elements without those that other positions use.
+/// Products per position of a convolution: the weight's elements without those that other positions
+/// use.
 uint64_t products(const Graph& graph, const Node& node) { return elements(graph, node.inputs[1]); }
 
 uint64_t positions(const Graph& graph, ValueId id) {
@@ -50,11 +52,14 @@ uint64_t node_parameters(const Graph& graph, const Node& node, std::set<ValueId>
 }  // namespace
 
 uint64_t node_macs(const Graph& graph, const Node& node) {
-  // A transposed convolution multiplies its kernel at every input position, the others at every output.
-  if (node.op == Op::kTransposeConv2d) return products(graph, node) * positions(graph, node.inputs[0]);
+  // A transposed convolution multiplies its kernel at every input position, the others at every
+  // output.
+  if (node.op == Op::kTransposeConv2d)
+    return products(graph, node) * positions(graph, node.inputs[0]);
   if (is_convolution(node.op)) return products(graph, node) * positions(graph, node.output);
   if (node.op == Op::kMatmul)
-    return elements(graph, node.output) * static_cast<uint64_t>(graph.value(node.inputs[0]).type.shape[2]);
+    return elements(graph, node.output) *
+           static_cast<uint64_t>(graph.value(node.inputs[0]).type.shape[2]);
   return 0;
 }
 
@@ -64,7 +69,9 @@ uint64_t node_ops(const Graph& graph, const Node& node) {
     case OpKind::kView: return 0;
     case OpKind::kHead: break;
   }
-  if (is_convolution(node.op) || node.op == Op::kMatmul || node.op == Op::kGather || node.op == Op::kScatter) return 0;
+  if (is_convolution(node.op) || node.op == Op::kMatmul || node.op == Op::kGather ||
+      node.op == Op::kScatter)
+    return 0;
   if (node.op == Op::kResize) return 7 * elements(graph, node.output);  // four products, three sums
   if (node.op == Op::kAvgPool2d || node.op == Op::kMaxPool2d) {
     const std::span<const int64_t> kernel = node.attrs.list(Attr::kKernel);
@@ -82,7 +89,8 @@ Cost group_cost(const Graph& graph, const Group& group) {
     cost.ops += node_ops(graph, node);
     for (const ValueId input : node.inputs) {
       const Value& value = graph.value(input);
-      const bool is_literal = value.type.dtype == DType::kShape || (value.is_constant() && value.constant->count() == 1);
+      const bool is_literal = value.type.dtype == DType::kShape ||
+                              (value.is_constant() && value.constant->count() == 1);
       if (!made.contains(input) && !is_literal) read.insert(input);
     }
     made.insert(node.output);
@@ -139,7 +147,8 @@ Verdict judge(uint64_t macs, const Budget& budget) {
   verdict.network_ms = gop / (budget.tops * budget.efficiency);
   constexpr double kNever = std::numeric_limits<double>::infinity();
   verdict.required_efficiency = network_budget_ms > 0 ? gop / verdict.available_gop : kNever;
-  verdict.required_tops = network_budget_ms > 0 ? gop / (network_budget_ms * budget.efficiency) : kNever;
+  verdict.required_tops =
+      network_budget_ms > 0 ? gop / (network_budget_ms * budget.efficiency) : kNever;
   verdict.headroom_ms = network_budget_ms - verdict.network_ms;
   verdict.fits = verdict.headroom_ms >= 0;
   return verdict;

@@ -13,7 +13,8 @@ namespace {
 using Json = nlohmann::json;
 
 // Bounds that keep every sum below 2^63; no published network comes near them.
-constexpr int64_t kMaxWindow = 1024, kMaxStep = 64, kMaxChannels = 65536, kMaxLayers = 1024, kMaxRatioTerm = 1 << 20;
+constexpr int64_t kMaxWindow = 1024, kMaxStep = 64, kMaxChannels = 65536, kMaxLayers = 1024,
+                  kMaxRatioTerm = 1 << 20;
 constexpr int64_t kMaxSide = 16384;
 constexpr uint64_t kMaxGraphParameters = uint64_t{1} << 28;  // they are bytes in memory
 constexpr size_t kMaxRows = 10000, kMaxParts = 16;
@@ -66,8 +67,9 @@ struct ActivationName {
   Activation activation;
 };
 constexpr ActivationName kActivationNames[] = {
-    {"relu", Activation::kRelu},           {"relu6", Activation::kRelu6}, {"leakyrelu", Activation::kLeakyRelu},
-    {"elu", Activation::kElu},             {"prelu", Activation::kPrelu}, {"tanh", Activation::kTanh},
+    {"relu", Activation::kRelu},           {"relu6", Activation::kRelu6},
+    {"leakyrelu", Activation::kLeakyRelu}, {"elu", Activation::kElu},
+    {"prelu", Activation::kPrelu},         {"tanh", Activation::kTanh},
     {"sigmoid", Activation::kSigmoid},
 };
 
@@ -75,7 +77,8 @@ constexpr ActivationName kActivationNames[] = {
 std::string plain_name(const std::string& name) {
   std::string plain;
   for (const char c : name)
-    if (c != '_' && c != '-' && c != ' ') plain += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+    if (c != '_' && c != '-' && c != ' ')
+      plain += static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   return plain;
 }
 
@@ -114,7 +117,8 @@ class Fields {
     const Json* field = find(key);
     if (!field) return absent;
     const double value = field->is_number() ? field->get<double>() : -1;
-    if (!(value >= 0 && value <= 1e15)) return bad_input(where_, "\"{}\" must be a number of at least 0", key);
+    if (!(value >= 0 && value <= 1e15))
+      return bad_input(where_, "\"{}\" must be a number of at least 0", key);
     return value;
   }
 
@@ -126,7 +130,8 @@ class Fields {
   }
 
   /// A number, or [h,w].
-  Result<void> pair(const char* key, int64_t high, std::optional<int64_t> absent, int64_t (&out)[2]) const {
+  Result<void> pair(const char* key, int64_t high, std::optional<int64_t> absent,
+                    int64_t (&out)[2]) const {
     const Json* field = find(key);
     if (field && field->is_array()) {
       if (field->size() != 2) return bad_input(where_, "\"{}\" must be a number or [h,w]", key);
@@ -143,9 +148,11 @@ class Fields {
  private:
   Result<int64_t> integer_of(const Json& field, const char* key, int64_t high) const {
     if (!field.is_number_integer()) return bad_input(where_, "\"{}\" must be an integer", key);
-    const bool huge = field.is_number_unsigned() && field.get<uint64_t>() > static_cast<uint64_t>(high);
+    const bool huge =
+        field.is_number_unsigned() && field.get<uint64_t>() > static_cast<uint64_t>(high);
     const int64_t value = huge ? 0 : field.get<int64_t>();
-    if (huge || value < 1 || value > high) return bad_input(where_, "\"{}\" must be 1 to {}", key, high);
+    if (huge || value < 1 || value > high)
+      return bad_input(where_, "\"{}\" must be 1 to {}", key, high);
     return value;
   }
 
@@ -159,7 +166,8 @@ Ratio reduced(int64_t num, int64_t den) {
 }
 
 Grid scaled(const Grid& grid, const int64_t (&num)[2], const int64_t (&den)[2]) {
-  return {reduced(grid.h.num * num[0], grid.h.den * den[0]), reduced(grid.w.num * num[1], grid.w.den * den[1])};
+  return {reduced(grid.h.num * num[0], grid.h.den * den[0]),
+          reduced(grid.w.num * num[1], grid.w.den * den[1])};
 }
 
 /// Reads one layer after another, keeping track of grid and channels.
@@ -203,7 +211,8 @@ class LayerReader {
     const std::string plain = plain_name(act);
     if (plain == "none" || plain == "linear" || plain == "identity") return {};
     const auto* activation = find_name<ActivationName>(kActivationNames, plain);
-    if (!activation) return unsupported(fields.where(), "\"{}\" is no activation that can be counted", act);
+    if (!activation)
+      return unsupported(fields.where(), "\"{}\" is no activation that can be counted", act);
     layer.activation = activation->activation;
     return {};
   }
@@ -221,12 +230,14 @@ class LayerReader {
       case LayerKind::kAvgPool:
         SHALE_TRY_VOID(fields.pair("k", kMaxStep, {}, layer.kernel));
         std::ranges::copy(layer.kernel, layer.stride);
-        if (fields.find("stride")) SHALE_TRY_VOID(fields.pair("stride", kMaxStep, {}, layer.stride));
+        if (fields.find("stride"))
+          SHALE_TRY_VOID(fields.pair("stride", kMaxStep, {}, layer.stride));
         return {};
       case LayerKind::kUpsample: {
         SHALE_TRY(const std::string mode, fields.text("mode", "nearest"));
         if (mode != "nearest" && mode != "bilinear" && mode != "bicubic")
-          return unsupported(fields.where(), "\"{}\" is no mode of upsampling that can be counted", mode);
+          return unsupported(fields.where(), "\"{}\" is no mode of upsampling that can be counted",
+                             mode);
         layer.nearest = mode == "nearest";
         SHALE_TRY(layer.factor, fields.integer("factor", kMaxStep));
         return {};
@@ -247,7 +258,8 @@ class LayerReader {
           std::string name = product.substr(start, end - start);
           std::erase(name, ' ');
           if (name.empty() || layer.of.size() == kMaxParts)
-            return bad_input(fields.where(), "\"arg\" is \"{}\", expected names joined by *", product);
+            return bad_input(fields.where(), "\"arg\" is \"{}\", expected names joined by *",
+                             product);
           layer.of.push_back(std::move(name));
           start = end + 1;
         }
@@ -259,7 +271,8 @@ class LayerReader {
 
   static Result<void> read_parts(const Fields& fields, Layer& layer) {
     const Json* parts = fields.find("parts");
-    const Error error = bad_input(fields.where(), "\"parts\" must be a list of 1 to {} names", kMaxParts);
+    const Error error =
+        bad_input(fields.where(), "\"parts\" must be a list of 1 to {} names", kMaxParts);
     if (!parts || !parts->is_array() || parts->empty() || parts->size() > kMaxParts) return error;
     for (const Json& part : *parts) {
       if (!part.is_string()) return error;
@@ -283,8 +296,9 @@ class LayerReader {
         const int64_t usual = plain_name(layer.op).starts_with("depthwise") ? in : 1;
         SHALE_TRY(layer.groups, fields.integer("groups", kMaxChannels, usual));
         if (in % layer.groups != 0 || layer.out_channels % layer.groups != 0)
-          return bad_input(fields.where(), "{} groups do not divide {} input and {} output channels", layer.groups, in,
-                           layer.out_channels);
+          return bad_input(fields.where(),
+                           "{} groups do not divide {} input and {} output channels", layer.groups,
+                           in, layer.out_channels);
         return {};
       }
       case LayerKind::kWeightedSum:
@@ -294,7 +308,8 @@ class LayerReader {
       case LayerKind::kSplit: divisor = static_cast<int64_t>(layer.parts.size()); break;
       default: break;
     }
-    if (in % divisor != 0) return bad_input(fields.where(), "{} channels are no multiple of {}", in, divisor);
+    if (in % divisor != 0)
+      return bad_input(fields.where(), "{} channels are no multiple of {}", in, divisor);
     layer.out_channels = in / divisor;
     return {};
   }
@@ -309,8 +324,10 @@ class LayerReader {
     layer.out = scaled(layer.in, up, down);
     SHALE_TRY(const std::string at, fields.text("at", ""));
     if (!at.empty()) {
-      if (at != "lr" && at != "hr") return bad_input(fields.where(), "\"at\" is \"{}\", expected \"lr\" or \"hr\"", at);
-      if (at == "hr" && scale_ < 1) return bad_input(fields.where(), "\"at\" is \"hr\", but the scale is not given");
+      if (at != "lr" && at != "hr")
+        return bad_input(fields.where(), "\"at\" is \"{}\", expected \"lr\" or \"hr\"", at);
+      if (at == "hr" && scale_ < 1)
+        return bad_input(fields.where(), "\"at\" is \"hr\", but the scale is not given");
       const Ratio side{at == "hr" ? scale_ : 1, 1};
       const Grid named{side, side};
       if (layer.in != named && layer.out != named) {
@@ -320,8 +337,8 @@ class LayerReader {
     }
     for (const Ratio& ratio : {layer.in.h, layer.in.w, layer.out.h, layer.out.w})
       if (ratio.num > kMaxRatioTerm || ratio.den > kMaxRatioTerm)
-        return bad_input(fields.where(), "the grid is {}/{} of the input, which is beyond {}", ratio.num, ratio.den,
-                         kMaxRatioTerm);
+        return bad_input(fields.where(), "the grid is {}/{} of the input, which is beyond {}",
+                         ratio.num, ratio.den, kMaxRatioTerm);
     return {};
   }
 
@@ -329,7 +346,8 @@ class LayerReader {
   Grid grid_;
 };
 
-Result<std::vector<Layer>> read_layers(const Json& json, const std::string& where, int64_t scale, int64_t channels) {
+Result<std::vector<Layer>> read_layers(const Json& json, const std::string& where, int64_t scale,
+                                       int64_t channels) {
   if (!json.is_array() || json.size() > static_cast<size_t>(kMaxLayers))
     return bad_input(where, "must be a list of at most {} layers", kMaxLayers);
   LayerReader reader(scale, channels);
@@ -349,7 +367,8 @@ Result<Json> parse_json(std::string_view text) {
 
 /// "8.43K", "1.2M", "36", or an integer.
 Result<Stated> stated_number(const Json& json, const std::string& where) {
-  const Error error = bad_input(where, "\"params_stated\" must be an integer or a text like \"8.43K\"");
+  const Error error =
+      bad_input(where, "\"params_stated\" must be an integer or a text like \"8.43K\"");
   if (json.is_number_integer()) {
     if (json.get<double>() < 0) return error;
     return Stated{json.dump(), json.get<double>(), 0};
@@ -371,7 +390,8 @@ Result<Stated> stated_number(const Json& json, const std::string& where) {
     }
   }
   const std::string suffix = stated.text.substr(at);
-  if (digits == 0 || (suffix != "" && suffix != "K" && suffix != "M" && suffix != "G")) return error;
+  if (digits == 0 || (suffix != "" && suffix != "K" && suffix != "M" && suffix != "G"))
+    return error;
   if (suffix != "") unit *= suffix == "K" ? 1e3 : suffix == "M" ? 1e6 : 1e9;
   stated.value *= unit;
   stated.half_unit = unit / 2;
@@ -396,7 +416,8 @@ Result<CostRow> read_row(const Json& json, size_t index) {
   }
   SHALE_TRY(const std::string convention, fields.text("convention", "mac"));
   if (convention != "mac" && convention != "counter_A")
-    return unsupported(fields.where(), "\"convention\" is \"{}\", expected \"mac\" or \"counter_A\"", convention);
+    return unsupported(fields.where(),
+                       "\"convention\" is \"{}\", expected \"mac\" or \"counter_A\"", convention);
   row.convention = convention == "mac" ? Convention::kMac : Convention::kCounterA;
   if (const Json* stated = fields.find("params_stated")) {
     SHALE_TRY(row.parameters_stated, stated_number(*stated, fields.where()));
@@ -407,12 +428,14 @@ Result<CostRow> read_row(const Json& json, size_t index) {
   SHALE_TRY(row.tolerance_giga, fields.number("tolerance_g", row.tolerance_giga));
   if (const Json* size = fields.find("resolution_reproducing")) {
     const Fields sides(*size, fields.where() + ", \"resolution_reproducing\"");
-    if (!size->is_object()) return bad_input(sides.where(), "must be an object with \"h\" and \"w\"");
+    if (!size->is_object())
+      return bad_input(sides.where(), "must be an object with \"h\" and \"w\"");
     SHALE_TRY(row.lr_h, sides.integer("h", kMaxSide));
     SHALE_TRY(row.lr_w, sides.integer("w", kMaxSide));
   }
   if (const Json* layers = fields.find("layers")) {
-    SHALE_TRY(row.layers, read_layers(*layers, fields.where() + ", layers", row.scale, row.input_channels));
+    SHALE_TRY(row.layers,
+              read_layers(*layers, fields.where() + ", layers", row.scale, row.input_channels));
   }
   return row;
 }
@@ -420,7 +443,9 @@ Result<CostRow> read_row(const Json& json, size_t index) {
 /// Builds the INT8 graph; `current_` is the value that the last layer made.
 class GraphBuilder {
  public:
-  GraphBuilder(const std::string& name, int64_t lr_h, int64_t lr_w) : lr_h_(lr_h), lr_w_(lr_w) { graph_.name = name; }
+  GraphBuilder(const std::string& name, int64_t lr_h, int64_t lr_w) : lr_h_(lr_h), lr_w_(lr_w) {
+    graph_.name = name;
+  }
 
   Result<Graph> build(std::span<const Layer> layers) {
     for (size_t i = 0; i < layers.size(); ++i) {
@@ -443,14 +468,17 @@ class GraphBuilder {
     if (h < 1 || w < 1 || h % grid.h.den != 0 || w % grid.w.den != 0)
       return bad_input(where, "{}x{} pixels do not give a whole number of positions", lr_h_, lr_w_);
     Shape shape{1, h / grid.h.den, w / grid.w.den, channels};
-    if (!element_count(shape)) return unsupported(where, "{} is above {} elements", shape_text(shape), kMaxElements);
+    if (!element_count(shape))
+      return unsupported(where, "{} is above {} elements", shape_text(shape), kMaxElements);
     return shape;
   }
 
-  /// Makes `current_` a value of this shape, by further inputs where the layers before do not give it.
+  /// Makes `current_` a value of this shape, by further inputs where the layers before do not give
+  /// it.
   void take(const Shape& wanted) {
     const auto input = [&](int64_t channels) {
-      return graph_.add_input(prefix_ + "/input", {DType::kInt8, {1, wanted[1], wanted[2], channels}});
+      return graph_.add_input(prefix_ + "/input",
+                              {DType::kInt8, {1, wanted[1], wanted[2], channels}});
     };
     if (!current_) {
       current_ = input(wanted[3]);
@@ -459,7 +487,8 @@ class GraphBuilder {
       current_ = input(wanted[3]);
     } else if (const int64_t missing = wanted[3] - shape(*current_)[3]; missing > 0) {
       const ValueId side = input(missing);
-      current_ = node(Op::kConcat, Attrs().set(Attr::kAxis, 3), {*current_, side}, "concat", {DType::kInt8, wanted});
+      current_ = node(Op::kConcat, Attrs().set(Attr::kAxis, 3), {*current_, side}, "concat",
+                      {DType::kInt8, wanted});
     } else if (missing < 0) {
       current_ = slice(*current_, 0, wanted[3]);
     }
@@ -480,17 +509,21 @@ class GraphBuilder {
         const ValueId whole = *current_;
         parts_.clear();
         for (const std::string& part : layer.parts)
-          parts_.push_back({part, slice(whole, static_cast<int64_t>(parts_.size()) * layer.out_channels, layer.out_channels)});
+          parts_.push_back(
+              {part, slice(whole, static_cast<int64_t>(parts_.size()) * layer.out_channels,
+                           layer.out_channels)});
         current_ = parts_.front().second;
         break;
       }
       case LayerKind::kSoftmax: SHALE_TRY_VOID(add_softmax(layer, where)); break;
       case LayerKind::kWeightedSum: SHALE_TRY_VOID(add_weighted_sum(where)); break;
       case LayerKind::kReduceMax:
-        current_ = node(Op::kReduceMax, Attrs().set(Attr::kAxis, 3).set(Attr::kNanMode, 1), {*current_}, "max",
-                        {DType::kInt8, with_channels(*current_, 1)});
+        current_ = node(Op::kReduceMax, Attrs().set(Attr::kAxis, 3).set(Attr::kNanMode, 1),
+                        {*current_}, "max", {DType::kInt8, with_channels(*current_, 1)});
         break;
-      case LayerKind::kReduceSum: current_ = to_int8(sum(to_int32(*current_)), 30 + bits(shape(*current_)[3])); break;
+      case LayerKind::kReduceSum:
+        current_ = to_int8(sum(to_int32(*current_)), 30 + bits(shape(*current_)[3]));
+        break;
       case LayerKind::kActivation: break;
       case LayerKind::kBatchNorm:
       case LayerKind::kElementwise: return no_form(where);
@@ -515,8 +548,10 @@ class GraphBuilder {
     return result;
   }
 
-  ValueId node(Op op, Attrs attrs, std::vector<ValueId> operands, const char* name, TensorType type) {
-    return graph_.add_node(op, std::move(attrs), std::move(operands), prefix_ + "/" + name, std::move(type));
+  ValueId node(Op op, Attrs attrs, std::vector<ValueId> operands, const char* name,
+               TensorType type) {
+    return graph_.add_node(op, std::move(attrs), std::move(operands), prefix_ + "/" + name,
+                           std::move(type));
   }
 
   ValueId constant(const char* name, DType dtype, const std::vector<int64_t>& values) {
@@ -551,8 +586,9 @@ class GraphBuilder {
                             .set(Attr::kOutputUnsigned, 0);
     const DType from = graph_.value(id).type.dtype;
     return node(Op::kRescale, attrs,
-                {id, constant("multiplier", DType::kInt32, {int64_t{1} << 30}), constant("shift", DType::kInt8, {shift}),
-                 constant("input_zp", from, {0}), constant("output_zp", to, {0})},
+                {id, constant("multiplier", DType::kInt32, {int64_t{1} << 30}),
+                 constant("shift", DType::kInt8, {shift}), constant("input_zp", from, {0}),
+                 constant("output_zp", to, {0})},
                 "rescale", {to, shape(id)});
   }
   ValueId to_int8(ValueId id, int64_t shift) { return rescale(id, DType::kInt8, shift); }
@@ -560,7 +596,8 @@ class GraphBuilder {
 
   /// By channel, int32.
   ValueId sum(ValueId id) {
-    return node(Op::kReduceSum, Attrs().set(Attr::kAxis, 3), {id}, "sum", {DType::kInt32, with_channels(id, 1)});
+    return node(Op::kReduceSum, Attrs().set(Attr::kAxis, 3), {id}, "sum",
+                {DType::kInt32, with_channels(id, 1)});
   }
 
   ValueId product(ValueId a, ValueId b) {
@@ -573,8 +610,10 @@ class GraphBuilder {
   ValueId table(ValueId id, const char* name, Function function) {
     std::vector<int64_t> values;
     for (int64_t i = -128; i < 128; ++i)
-      values.push_back(std::clamp<int64_t>(std::llround(function(static_cast<double>(i))), -128, 127));
-    return node(Op::kTable, {}, {id, constant("table", DType::kInt8, values)}, name, {DType::kInt8, shape(id)});
+      values.push_back(
+          std::clamp<int64_t>(std::llround(function(static_cast<double>(i))), -128, 127));
+    return node(Op::kTable, {}, {id, constant("table", DType::kInt8, values)}, name,
+                {DType::kInt8, shape(id)});
   }
 
   ValueId slice(ValueId id, int64_t first, int64_t channels) {
@@ -585,14 +624,16 @@ class GraphBuilder {
   }
 
   ValueId reshape(ValueId id, const Shape& to) {
-    return node(Op::kReshape, {}, {id, graph_.add_shape(prefix_ + "/shape", to)}, "reshape", {DType::kInt8, to});
+    return node(Op::kReshape, {}, {id, graph_.add_shape(prefix_ + "/shape", to)}, "reshape",
+                {DType::kInt8, to});
   }
 
   static Result<std::vector<int64_t>> same_pad(const Layer& layer, const std::string& where) {
     std::vector<int64_t> pad;
     for (size_t axis = 0; axis < 2; ++axis) {
       const int64_t total = layer.kernel[axis] - layer.stride[axis];
-      if (total < 0) return unsupported(where, "a stride above the kernel size has no INT8 graph here");
+      if (total < 0)
+        return unsupported(where, "a stride above the kernel size has no INT8 graph here");
       pad.push_back(total / 2);
       pad.push_back(total - total / 2);
     }
@@ -600,7 +641,8 @@ class GraphBuilder {
   }
 
   Result<void> add_conv(const Layer& layer, const std::string& where) {
-    const int64_t kh = layer.kernel[0], kw = layer.kernel[1], ic = layer.in_channels, oc = layer.out_channels;
+    const int64_t kh = layer.kernel[0], kw = layer.kernel[1], ic = layer.in_channels,
+                  oc = layer.out_channels;
     const bool transposed = layer.kind == LayerKind::kTransposeConv;
     const bool depthwise = !transposed && layer.groups > 1 && layer.groups == ic;
     if (layer.groups > 1 && !depthwise) return no_form(where);
@@ -621,10 +663,13 @@ class GraphBuilder {
     }
     SHALE_TRY(const Shape out, shape_at(layer.out, oc, where));
     const ValueId weight = weights(depthwise ? Shape{kh, kw, ic, oc / ic} : Shape{oc, kh, kw, ic});
-    const Op op = transposed ? Op::kTransposeConv2d : depthwise ? Op::kDepthwiseConv2d : Op::kConv2d;
+    const Op op = transposed  ? Op::kTransposeConv2d
+                  : depthwise ? Op::kDepthwiseConv2d
+                              : Op::kConv2d;
     const ValueId accumulator =
         node(op, attrs,
-             {*current_, weight, bias(layer), constant("input_zp", DType::kInt8, {0}), constant("weight_zp", DType::kInt8, {0})},
+             {*current_, weight, bias(layer), constant("input_zp", DType::kInt8, {0}),
+              constant("weight_zp", DType::kInt8, {0})},
              "conv", {DType::kInt32, out});
     current_ = to_int8(accumulator, 32 + bits(kh * kw * ic / layer.groups));
     return {};
@@ -634,29 +679,32 @@ class GraphBuilder {
     SHALE_TRY(std::vector<int64_t> pad, same_pad(layer, where));
     SHALE_TRY(const Shape out, shape_at(layer.out, layer.out_channels, where));
     Attrs attrs;
-    attrs.set(Attr::kKernel, {layer.kernel[0], layer.kernel[1]}).set(Attr::kStride, {layer.stride[0], layer.stride[1]});
+    attrs.set(Attr::kKernel, {layer.kernel[0], layer.kernel[1]})
+        .set(Attr::kStride, {layer.stride[0], layer.stride[1]});
     attrs.set(Attr::kPad, std::move(pad));
     if (layer.kind == LayerKind::kMaxPool) {
-      current_ = node(Op::kMaxPool2d, attrs.set(Attr::kNanMode, 1), {*current_}, "max_pool", {DType::kInt8, out});
+      current_ = node(Op::kMaxPool2d, attrs.set(Attr::kNanMode, 1), {*current_}, "max_pool",
+                      {DType::kInt8, out});
     } else {
       attrs.set(Attr::kAccType, static_cast<int64_t>(DType::kInt32));
       current_ = node(Op::kAvgPool2d, attrs,
-                      {*current_, constant("input_zp", DType::kInt8, {0}), constant("output_zp", DType::kInt8, {0})}, "avg_pool",
-                      {DType::kInt8, out});
+                      {*current_, constant("input_zp", DType::kInt8, {0}),
+                       constant("output_zp", DType::kInt8, {0})},
+                      "avg_pool", {DType::kInt8, out});
     }
     return {};
   }
 
-  /// Every input element factor x factor times: TOSA rounds to the nearest input, so positions are shifted
-  /// by half an output element.
+  /// Every input element factor x factor times: TOSA rounds to the nearest input, so positions are
+  /// shifted by half an output element.
   Result<void> add_upsample(const Layer& layer, const std::string& where) {
     SHALE_TRY(const Shape out, shape_at(layer.out, layer.out_channels, where));
     const int64_t n = 2 * layer.factor, edge = layer.factor - 1;
     const ValueId scale = graph_.add_shape(prefix_ + "/scale", {n, 2, n, 2});
     const ValueId offset = graph_.add_shape(prefix_ + "/offset", {-edge, -edge});
     const ValueId border = graph_.add_shape(prefix_ + "/border", {edge, edge});
-    current_ = node(Op::kResize, Attrs().set(Attr::kMode, kNearest), {*current_, scale, offset, border}, "upsample",
-                    {DType::kInt8, out});
+    current_ = node(Op::kResize, Attrs().set(Attr::kMode, kNearest),
+                    {*current_, scale, offset, border}, "upsample", {DType::kInt8, out});
     return {};
   }
 
@@ -665,14 +713,15 @@ class GraphBuilder {
     const Shape& from = shape(*current_);
     const int64_t h = from[1], w = from[2], f = layer.factor, c = layer.out_channels;
     const ValueId split = reshape(*current_, {1, h, w, c, f, f});
-    const ValueId turned = node(Op::kTranspose, Attrs().set(Attr::kPerms, {0, 1, 4, 2, 5, 3}), {split}, "transpose",
-                                {DType::kInt8, {1, h, f, w, f, c}});
+    const ValueId turned = node(Op::kTranspose, Attrs().set(Attr::kPerms, {0, 1, 4, 2, 5, 3}),
+                                {split}, "transpose", {DType::kInt8, {1, h, f, w, f, c}});
     current_ = reshape(turned, out);
     return {};
   }
 
   std::optional<ValueId> part(std::string_view name) const {
-    const auto found = std::ranges::find(parts_, name, [](const auto& entry) -> std::string_view { return entry.first; });
+    const auto found = std::ranges::find(
+        parts_, name, [](const auto& entry) -> std::string_view { return entry.first; });
     return found == parts_.end() ? std::nullopt : std::optional(found->second);
   }
 
@@ -685,26 +734,31 @@ class GraphBuilder {
       argument = argument ? to_int8(product(*argument, *factor), 37) : *factor;
     }
     const ValueId x = argument.value_or(*current_);
-    const ValueId exps = table(x, "exp", [](double value) { return 127 * std::exp((value - 127) / 32); });
+    const ValueId exps =
+        table(x, "exp", [](double value) { return 127 * std::exp((value - 127) / 32); });
     const ValueId total = to_int8(sum(to_int32(exps)), 30 + bits(shape(x)[3]));
-    const ValueId reciprocal = table(total, "reciprocal", [](double value) { return value < 1 ? 127 : 127 / value; });
+    const ValueId reciprocal =
+        table(total, "reciprocal", [](double value) { return value < 1 ? 127 : 127 / value; });
     current_ = to_int8(product(exps, reciprocal), 37);
     return {};
   }
 
   /// The part named "value", else the first one, weighted by the softmax before.
   Result<void> add_weighted_sum(const std::string& where) {
-    if (parts_.empty()) return bad_input(where, "there is no split before that tells what is summed");
+    if (parts_.empty())
+      return bad_input(where, "there is no split before that tells what is summed");
     const ValueId value = part("value").value_or(parts_.front().second);
     if (shape(value) != shape(*current_))
-      return bad_input(where, "weights {} and values {} differ", shape_text(shape(*current_)), shape_text(shape(value)));
+      return bad_input(where, "weights {} and values {} differ", shape_text(shape(*current_)),
+                       shape_text(shape(value)));
     current_ = to_int8(sum(product(value, *current_)), 37);
     return {};
   }
 
   Result<void> add_activation(const Layer& layer, const std::string& where) {
     const auto clamp = [&](int64_t high) {
-      const Attrs attrs = Attrs().set(Attr::kMinVal, 0).set(Attr::kMaxVal, high).set(Attr::kNanMode, 1);
+      const Attrs attrs =
+          Attrs().set(Attr::kMinVal, 0).set(Attr::kMaxVal, high).set(Attr::kNanMode, 1);
       current_ = node(Op::kClamp, attrs, {*current_}, "relu", {DType::kInt8, shape(*current_)});
     };
     switch (layer.activation) {
@@ -712,10 +766,12 @@ class GraphBuilder {
       case Activation::kRelu: clamp(127); return {};
       case Activation::kRelu6: clamp(96); return {};  // 6 at a scale of 1/16
       case Activation::kTanh:
-        current_ = table(*current_, "tanh", [](double value) { return 128 * std::tanh(value / 32); });
+        current_ =
+            table(*current_, "tanh", [](double value) { return 128 * std::tanh(value / 32); });
         return {};
       case Activation::kSigmoid:
-        current_ = table(*current_, "sigmoid", [](double value) { return 256 / (1 + std::exp(-value / 16)) - 128; });
+        current_ = table(*current_, "sigmoid",
+                         [](double value) { return 256 / (1 + std::exp(-value / 16)) - 128; });
         return {};
       default: return no_form(where);
     }
@@ -730,7 +786,8 @@ class GraphBuilder {
 
 }  // namespace
 
-Result<std::vector<Layer>> parse_layers(std::string_view json, int64_t scale, int64_t input_channels) {
+Result<std::vector<Layer>> parse_layers(std::string_view json, int64_t scale,
+                                        int64_t input_channels) {
   SHALE_TRY(const Json list, parse_json(json));
   return read_layers(list, "layers", scale, input_channels);
 }
@@ -743,11 +800,14 @@ LayerCounts count_layers(std::span<const Layer> layers) {
     switch (layer.kind) {
       case LayerKind::kConv:
       case LayerKind::kTransposeConv: {
-        const int64_t weights = layer.kernel[0] * layer.kernel[1] * layer.in_channels / layer.groups * layer.out_channels;
+        const int64_t weights = layer.kernel[0] * layer.kernel[1] * layer.in_channels /
+                                layer.groups * layer.out_channels;
         counts.parameters += static_cast<uint64_t>(weights + (layer.bias ? layer.out_channels : 0));
-        // The work of a transposed convolution is at its input positions; the counter charges its output.
+        // The work of a transposed convolution is at its input positions; the counter charges its
+        // output.
         const double positions = layer.kind == LayerKind::kTransposeConv ? in : out;
-        (positions > 1 ? counts.macs_hr : counts.macs_lr) += positions * static_cast<double>(weights);
+        (positions > 1 ? counts.macs_hr : counts.macs_lr) +=
+            positions * static_cast<double>(weights);
         counts.counter_macs += out * static_cast<double>(weights);
         if (layer.bias) counts.counter_bias += elements;
         break;
@@ -757,12 +817,16 @@ LayerCounts count_layers(std::span<const Layer> layers) {
         counts.counter_other += (layer.affine ? 2 : 1) * elements;
         break;
       case LayerKind::kMaxPool:
-      case LayerKind::kAvgPool: counts.counter_other += in * static_cast<double>(layer.in_channels); break;
+      case LayerKind::kAvgPool:
+        counts.counter_other += in * static_cast<double>(layer.in_channels);
+        break;
       case LayerKind::kUpsample: counts.counter_upsample += elements; break;
       default: break;  // free
     }
     switch (layer.activation) {
-      case Activation::kPrelu: counts.parameters += static_cast<uint64_t>(layer.out_channels); [[fallthrough]];
+      case Activation::kPrelu:
+        counts.parameters += static_cast<uint64_t>(layer.out_channels);
+        [[fallthrough]];
       case Activation::kRelu:
       case Activation::kRelu6:
       case Activation::kLeakyRelu:
@@ -775,11 +839,13 @@ LayerCounts count_layers(std::span<const Layer> layers) {
   return counts;
 }
 
-Result<Graph> graph_of_layers(const std::string& name, std::span<const Layer> layers, int64_t lr_h, int64_t lr_w) {
+Result<Graph> graph_of_layers(const std::string& name, std::span<const Layer> layers, int64_t lr_h,
+                              int64_t lr_w) {
   if (lr_h < 1 || lr_w < 1 || lr_h > kMaxSide || lr_w > kMaxSide)
     return bad_input("", "{}x{} pixels, expected 1 to {} a side", lr_h, lr_w, kMaxSide);
   if (const uint64_t count = count_layers(layers).parameters; count > kMaxGraphParameters)
-    return unsupported("", "{} parameters, a graph is built for up to {}", count, kMaxGraphParameters);
+    return unsupported("", "{} parameters, a graph is built for up to {}", count,
+                       kMaxGraphParameters);
   return GraphBuilder(name, lr_h, lr_w).build(layers);
 }
 
@@ -797,17 +863,20 @@ RowCheck check_row(const CostRow& row) {
   RowCheck check;
   if (row.layers.empty()) return check;
   check.counts = count_layers(row.layers);
-  const double per_pixel = row.convention == Convention::kMac ? check.counts.macs() : check.counts.counter_operations();
+  const double per_pixel =
+      row.convention == Convention::kMac ? check.counts.macs() : check.counts.counter_operations();
   check.giga = 1e-9 * per_pixel * static_cast<double>(row.lr_h) * static_cast<double>(row.lr_w);
   // Decimal figures are not exact in binary; the slack is far below their last digit.
   const auto judge = [](double computed, double stated, double tolerance) {
-    return std::abs(computed - stated) <= tolerance + 1e-9 * stated ? Agreement::kReproduced : Agreement::kDiffers;
+    return std::abs(computed - stated) <= tolerance + 1e-9 * stated ? Agreement::kReproduced
+                                                                    : Agreement::kDiffers;
   };
   if (row.parameters_stated)
-    check.parameters = judge(static_cast<double>(check.counts.parameters), row.parameters_stated->value,
-                             row.parameters_stated->half_unit);
+    check.parameters = judge(static_cast<double>(check.counts.parameters),
+                             row.parameters_stated->value, row.parameters_stated->half_unit);
   if (row.giga_stated)
-    check.giga_agreement = row.lr_h == 0 ? Agreement::kNoResolution : judge(check.giga, *row.giga_stated, row.tolerance_giga);
+    check.giga_agreement = row.lr_h == 0 ? Agreement::kNoResolution
+                                         : judge(check.giga, *row.giga_stated, row.tolerance_giga);
   return check;
 }
 
@@ -816,14 +885,17 @@ Result<std::vector<CostRow>> parse_cost_table(std::string_view json) {
   if (!table.is_object()) return bad_input("", "is no JSON object of schema \"cost-tables/1\"");
   const Fields fields(table, "");
   SHALE_TRY(const std::string schema, fields.text("schema"));
-  if (schema != "cost-tables/1") return unsupported("", "\"schema\" is \"{}\", expected \"cost-tables/1\"", schema);
+  if (schema != "cost-tables/1")
+    return unsupported("", "\"schema\" is \"{}\", expected \"cost-tables/1\"", schema);
   const Json* list = fields.find("rows");
-  if (!list || !list->is_array() || list->size() > kMaxRows) return bad_input("", "\"rows\" must be a list of at most {} rows", kMaxRows);
+  if (!list || !list->is_array() || list->size() > kMaxRows)
+    return bad_input("", "\"rows\" must be a list of at most {} rows", kMaxRows);
   std::vector<CostRow> rows;
   std::set<std::string> ids;
   for (size_t i = 0; i < list->size(); ++i) {
     SHALE_TRY(CostRow row, read_row((*list)[i], i));
-    if (!ids.insert(row.id).second) return bad_input(fmt::format("rows[{}]", i), "the id \"{}\" is used twice", row.id);
+    if (!ids.insert(row.id).second)
+      return bad_input(fmt::format("rows[{}]", i), "the id \"{}\" is used twice", row.id);
     rows.push_back(std::move(row));
   }
   return rows;

@@ -19,8 +19,8 @@ namespace {
 
 constexpr const char* kCompilerVersion = "shale 0.1.0";
 
-/// A graph output must be the result of a node of its own: constants, inputs and repeated outputs are
-/// copied.
+/// A graph output must be the result of a node of its own: constants, inputs and repeated outputs
+/// are copied.
 void give_outputs_nodes(Graph& graph) {
   std::set<ValueId> seen(graph.inputs.begin(), graph.inputs.end());
   for (ValueId& output : graph.outputs) {
@@ -42,7 +42,8 @@ class WeightBlob {
     const auto [first, last] = offsets_.equal_range(hash);
     for (auto entry = first; entry != last; ++entry) {
       const auto [offset, size] = entry->second;
-      if (size == bytes.size() && std::equal(bytes.begin(), bytes.end(), blob.begin() + static_cast<std::ptrdiff_t>(offset)))
+      if (size == bytes.size() && std::equal(bytes.begin(), bytes.end(),
+                                             blob.begin() + static_cast<std::ptrdiff_t>(offset)))
         return offset;
     }
     blob.resize((blob.size() + kBufferAlignment - 1) / kBufferAlignment * kBufferAlignment);
@@ -61,9 +62,15 @@ class WeightBlob {
 /// Builds one variant of the package for one device profile.
 class VariantBuilder {
  public:
-  VariantBuilder(const Graph& graph, const std::vector<GroupProblem>& problems, const DeviceProfile& profile,
-                 const CompileOptions& options, WeightBlob& blob, std::vector<std::string>& warnings)
-      : graph_(graph), problems_(problems), profile_(profile), options_(options), blob_(blob), warnings_(warnings) {
+  VariantBuilder(const Graph& graph, const std::vector<GroupProblem>& problems,
+                 const DeviceProfile& profile, const CompileOptions& options, WeightBlob& blob,
+                 std::vector<std::string>& warnings)
+      : graph_(graph),
+        problems_(problems),
+        profile_(profile),
+        options_(options),
+        blob_(blob),
+        warnings_(warnings) {
     variant_.target = profile.name;
   }
 
@@ -73,8 +80,10 @@ class VariantBuilder {
     if (options_.frame) SHALE_TRY_VOID(add_frame_images());
     if (options_.frame) {
       for (const FramePass& pass : options_.frame->passes) {
-        if (pass.is_graph) SHALE_TRY_VOID(add_graph());
-        else SHALE_TRY_VOID(add_pass(pass));
+        if (pass.is_graph)
+          SHALE_TRY_VOID(add_graph());
+        else
+          SHALE_TRY_VOID(add_pass(pass));
       }
     } else {
       SHALE_TRY_VOID(add_graph());
@@ -96,7 +105,8 @@ class VariantBuilder {
     resource.category = category;
     resource.dtype = value.type.dtype;
     resource.shape = value.type.shape;
-    resource.size_bytes = static_cast<uint64_t>(element_count(value.type.shape).value_or(0)) * dtype_info(value.type.dtype).host_bytes;
+    resource.size_bytes = static_cast<uint64_t>(element_count(value.type.shape).value_or(0)) *
+                          dtype_info(value.type.dtype).host_bytes;
     if (category == Category::kWeights) resource.offset_bytes = blob_.add(value.constant->bytes);
     if (options_.frame)
       for (const FrameTensor& tensor : options_.frame->tensors)
@@ -108,13 +118,16 @@ class VariantBuilder {
   }
 
   uint32_t tensor_of(ValueId id) {
-    return add_tensor(id, graph_.value(id).is_constant() ? Category::kWeights : Category::kIntermediate);
+    return add_tensor(
+        id, graph_.value(id).is_constant() ? Category::kWeights : Category::kIntermediate);
   }
 
-  Result<uint32_t> add_module(const KernelSource& source, const Defines& defines, bool optimize, const std::string& where) {
+  Result<uint32_t> add_module(const KernelSource& source, const Defines& defines, bool optimize,
+                              const std::string& where) {
     std::string key = source.glsl;
     for (const auto& [name, value] : defines) key += "\n" + name + "=" + value;
-    if (const auto found = module_of_source_.find(key); found != module_of_source_.end()) return found->second;
+    if (const auto found = module_of_source_.find(key); found != module_of_source_.end())
+      return found->second;
     SHALE_TRY(Spirv words, compile_glsl(source.glsl, defines, where));
     if (optimize && options_.optimize_spirv) {
       SHALE_TRY(words, optimize_spirv(words, where));
@@ -145,7 +158,8 @@ class VariantBuilder {
         const KernelSource& source = sources[part];
         Dispatch dispatch;
         dispatch.name = part == 0 ? name : fmt::format("{}#{}", name, part);
-        while (part > 0 && graph_.find_value(dispatch.name)) dispatch.name += '#';  // a value may be called so
+        while (part > 0 && graph_.find_value(dispatch.name))
+          dispatch.name += '#';  // a value may be called so
         dispatch.kernel = family.name;
         dispatch.workgroups = source.workgroups;
         dispatch.cost = share(problem.cost, time_us, sources.size());
@@ -153,20 +167,22 @@ class VariantBuilder {
         for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
           const KernelBinding& from = source.bindings[binding];
           const bool is_texels = from.type == BindingType::kUniformTexelBuffer;
-          dispatch.bindings.push_back({.binding = binding,
-                                       .type = from.type,
-                                       .resource = tensor_of(from.value),
-                                       .view_format = is_texels ? from.view_format : ImageFormat::kNone,
-                                       .reads = !from.writes,
-                                       .writes = from.writes,
-                                       .frames_back = 0});
+          dispatch.bindings.push_back(
+              {.binding = binding,
+               .type = from.type,
+               .resource = tensor_of(from.value),
+               .view_format = is_texels ? from.view_format : ImageFormat::kNone,
+               .reads = !from.writes,
+               .writes = from.writes,
+               .frames_back = 0});
           touch(from.value, static_cast<uint32_t>(dispatch_count_));
         }
         ++dispatch_count_;
         segment.dispatches.push_back(std::move(dispatch));
       }
       if (problem.proof) add_proof(problem);
-      if (options_.progress && !options_.progress(i + 1, problems_.size())) return bad_input("", "interrupted");
+      if (options_.progress && !options_.progress(i + 1, problems_.size()))
+        return bad_input("", "interrupted");
     }
     variant_.segments.push_back(std::move(segment));
     return {};
@@ -182,7 +198,8 @@ class VariantBuilder {
 
   void add_proof(const GroupProblem& problem) {
     const std::string& name = graph_.value(graph_.node(*problem.group.head).output).name;
-    variant_.proofs.push_back({name, problem.proof->min, problem.proof->max, problem.proof->magnitude});
+    variant_.proofs.push_back(
+        {name, problem.proof->min, problem.proof->max, problem.proof->magnitude});
   }
 
   void touch(ValueId id, uint32_t dispatch) {
@@ -200,7 +217,8 @@ class VariantBuilder {
       resources.push_back(resource);
     }
     const MemoryPlan plan = plan_memory(intervals, kBufferAlignment);
-    for (size_t i = 0; i < resources.size(); ++i) variant_.resources[resources[i]].offset_bytes = plan.offsets[i];
+    for (size_t i = 0; i < resources.size(); ++i)
+      variant_.resources[resources[i]].offset_bytes = plan.offsets[i];
     variant_.arena_bytes = plan.arena_bytes;
     lower_bound_ = plan.lower_bound_bytes;
   }
@@ -218,7 +236,8 @@ class VariantBuilder {
     std::set<std::string> names;
     for (const Resource& resource : variant_.resources) names.insert(resource.name);
     for (const FrameImage& image : options_.frame->images) {
-      if (!names.insert(image.name).second) return bad_input("frame.images", "the name \"{}\" is used twice", image.name);
+      if (!names.insert(image.name).second)
+        return bad_input("frame.images", "the name \"{}\" is used twice", image.name);
       Resource resource;
       resource.name = image.name;
       resource.category = image.category;
@@ -226,9 +245,11 @@ class VariantBuilder {
       resource.height = static_cast<uint32_t>(std::lround(base.first * image.scale));
       resource.width = static_cast<uint32_t>(std::lround(base.second * image.scale));
       resource.history_depth = image.history_depth;
-      if (resource.height < 1 || resource.width < 1 || resource.height > 16384 || resource.width > 16384)
-        return bad_input("frame.images", "image \"{}\" would have {}x{} pixels, expected 1 to 16384 a side", image.name,
-                         resource.width, resource.height);
+      if (resource.height < 1 || resource.width < 1 || resource.height > 16384 ||
+          resource.width > 16384)
+        return bad_input("frame.images",
+                         "image \"{}\" would have {}x{} pixels, expected 1 to 16384 a side",
+                         image.name, resource.width, resource.height);
       variant_.resources.push_back(std::move(resource));
     }
     return {};
@@ -238,10 +259,13 @@ class VariantBuilder {
   Defines frame_defines() const {
     Defines defines;
     for (const Resource& resource : variant_.resources) {
-      if (resource.category == Category::kWeights || resource.category == Category::kIntermediate) continue;
+      if (resource.category == Category::kWeights || resource.category == Category::kIntermediate)
+        continue;
       std::string name;
       for (const char c : resource.name)
-        name += std::isalnum(static_cast<unsigned char>(c)) != 0 ? static_cast<char>(std::toupper(static_cast<unsigned char>(c))) : '_';
+        name += std::isalnum(static_cast<unsigned char>(c)) != 0
+                    ? static_cast<char>(std::toupper(static_cast<unsigned char>(c)))
+                    : '_';
       if (is_image(resource.category)) {
         defines.emplace_back(name + "_WIDTH", std::to_string(resource.width));
         defines.emplace_back(name + "_HEIGHT", std::to_string(resource.height));
@@ -253,17 +277,20 @@ class VariantBuilder {
       defines.emplace_back(name + "_CHANNELS", std::to_string(resource.shape[3]));
       if (!resource.quantization) continue;
       defines.emplace_back(name + "_SCALE", fmt::format("{:.9e}", resource.quantization->scale));
-      defines.emplace_back(name + "_ZERO_POINT", fmt::format("({})", resource.quantization->zero_point));
+      defines.emplace_back(name + "_ZERO_POINT",
+                           fmt::format("({})", resource.quantization->zero_point));
     }
     return defines;
   }
 
-  Result<uint32_t> find_resource(const std::string& name, bool wants_image, const std::string& where) const {
+  Result<uint32_t> find_resource(const std::string& name, bool wants_image,
+                                 const std::string& where) const {
     for (uint32_t i = 0; i < variant_.resources.size(); ++i) {
       const Resource& resource = variant_.resources[i];
       if (resource.name == name && is_image(resource.category) == wants_image) return i;
     }
-    return bad_input(where, "there is no {} \"{}\"", wants_image ? "image" : "graph input or output", name);
+    return bad_input(where, "there is no {} \"{}\"",
+                     wants_image ? "image" : "graph input or output", name);
   }
 
   Result<void> add_pass(const FramePass& pass) {
@@ -272,29 +299,35 @@ class VariantBuilder {
     Dispatch dispatch;
     dispatch.name = pass.name;
     dispatch.kernel = "pass";
-    dispatch.workgroups = {(variant_.resources[over].width + pass.workgroup[0] - 1) / pass.workgroup[0],
-                           (variant_.resources[over].height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+    dispatch.workgroups = {
+        (variant_.resources[over].width + pass.workgroup[0] - 1) / pass.workgroup[0],
+        (variant_.resources[over].height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
     for (const FrameBinding& from : pass.bindings) {
       SHALE_TRY(const uint32_t index, find_resource(from.name, from.is_image, where));
       const Resource& resource = variant_.resources[index];
-      if (from.writes && (resource.category == Category::kImageInput || resource.category == Category::kOutput))
+      if (from.writes &&
+          (resource.category == Category::kImageInput || resource.category == Category::kOutput))
         return bad_input(where, "writes \"{}\", which is an input of the pass", from.name);
       if (from.frames_back >= std::max(resource.history_depth, 1u))
-        return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name, from.frames_back,
-                         resource.history_depth);
+        return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name,
+                         from.frames_back, resource.history_depth);
       const BindingType type = !from.is_image ? BindingType::kStorageBuffer
                                : from.writes  ? BindingType::kStorageImage
                                               : BindingType::kSampledImage;
-      dispatch.bindings.push_back({from.binding, type, index, ImageFormat::kNone, from.reads, from.writes, from.frames_back});
+      dispatch.bindings.push_back({from.binding, type, index, ImageFormat::kNone, from.reads,
+                                   from.writes, from.frames_back});
       if (is_image(resource.category)) {
-        const uint64_t bytes = uint64_t{resource.width} * resource.height * image_format_info(resource.format).texel_bytes;
+        const uint64_t bytes = uint64_t{resource.width} * resource.height *
+                               image_format_info(resource.format).texel_bytes;
         (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) += bytes;
       } else {
-        (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) += resource.size_bytes;
+        (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) +=
+            resource.size_bytes;
       }
     }
     dispatch.cost.time_us =
-        1e-3 * static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) / profile_.bandwidth_gbps +
+        1e-3 * static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) /
+            profile_.bandwidth_gbps +
         profile_.launch_us;
     SHALE_TRY(KernelSource source, [&]() -> Result<KernelSource> {
       SHALE_TRY(std::string text, options_.load_shader(pass.shader));
@@ -343,22 +376,27 @@ std::optional<std::string> unproven(const Graph& graph, const GroupProblem& prob
   if (!problem.group.head) return std::nullopt;
   const Node& node = graph.node(*problem.group.head);
   if (graph.value(node.output).type.dtype != DType::kInt32) return std::nullopt;
-  if (node.op != Op::kConv2d && node.op != Op::kConv3d && node.op != Op::kDepthwiseConv2d && node.op != Op::kTransposeConv2d)
+  if (node.op != Op::kConv2d && node.op != Op::kConv3d && node.op != Op::kDepthwiseConv2d &&
+      node.op != Op::kTransposeConv2d)
     return std::nullopt;
   const std::string label = node_label(graph, *problem.group.head);
-  if (!problem.proof) return label + ": weights or bias are no constants, so its accumulators cannot be bounded";
+  if (!problem.proof)
+    return label + ": weights or bias are no constants, so its accumulators cannot be bounded";
   const IntRange range = dtype_range(DType::kInt32);
   for (size_t c = 0; c < problem.proof->min.size(); ++c)
     if (problem.proof->min[c] < range.min || problem.proof->max[c] > range.max)
-      return fmt::format("{}: channel {} may leave int32: its accumulator is only known to lie in {}..{}", label, c,
-                         problem.proof->min[c], problem.proof->max[c]);
+      return fmt::format(
+          "{}: channel {} may leave int32: its accumulator is only known to lie in {}..{}", label,
+          c, problem.proof->min[c], problem.proof->max[c]);
   return std::nullopt;
 }
 
 std::string options_text(const CompileOptions& options) {
-  std::string text = fmt::format("optimize={} kernels=[{}] spirv_opt={}", options.pass_options.optimize,
-                                 fmt::join(options.kernels, ","), options.optimize_spirv);
-  for (const auto& [name, shape] : options.passes.input_shapes) text += fmt::format(" {}={}", name, shape_text(shape));
+  std::string text =
+      fmt::format("optimize={} kernels=[{}] spirv_opt={}", options.pass_options.optimize,
+                  fmt::join(options.kernels, ","), options.optimize_spirv);
+  for (const auto& [name, shape] : options.passes.input_shapes)
+    text += fmt::format(" {}={}", name, shape_text(shape));
   return text;
 }
 
@@ -372,7 +410,8 @@ Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& o
 Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& options) {
   for (const std::string& kernel : options.kernels) {
     const auto known = all_kernels();
-    if (std::none_of(known.begin(), known.end(), [&](const KernelFamily& family) { return family.name == kernel; }))
+    if (std::none_of(known.begin(), known.end(),
+                     [&](const KernelFamily& family) { return family.name == kernel; }))
       return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   }
   Compiled compiled;
@@ -397,19 +436,24 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
     const DeviceProfile* profile = find_profile(target);
     if (!profile) {
       std::string known;
-      for (const DeviceProfile& each : known_profiles()) known += (known.empty() ? "" : ", ") + std::string(each.name);
+      for (const DeviceProfile& each : known_profiles())
+        known += (known.empty() ? "" : ", ") + std::string(each.name);
       return bad_input("--target", "\"{}\" is unknown, expected one of: {}", target, known);
     }
     VariantBuilder builder(graph, problems, *profile, options, blob, compiled.warnings);
     SHALE_TRY(Variant variant, builder.build());
-    compiled.arena_lower_bound_bytes = std::max(compiled.arena_lower_bound_bytes, builder.arena_lower_bound_bytes());
+    compiled.arena_lower_bound_bytes =
+        std::max(compiled.arena_lower_bound_bytes, builder.arena_lower_bound_bytes());
     compiled.package.variants.push_back(std::move(variant));
   }
-  const std::chrono::duration<double, std::milli> elapsed = std::chrono::steady_clock::now() - start;
+  const std::chrono::duration<double, std::milli> elapsed =
+      std::chrono::steady_clock::now() - start;
   compiled.kernels_ms = elapsed.count();
-  compiled.package.provenance = {model_hash, options.model_name, kCompilerVersion, options_text(options)};
+  compiled.package.provenance = {model_hash, options.model_name, kCompilerVersion,
+                                 options_text(options)};
   compiled.package.weights = std::move(blob.blob);
-  SHALE_TRY_VOID(check_package(compiled.package));  // names, for one, come from the model as they are
+  SHALE_TRY_VOID(
+      check_package(compiled.package));  // names, for one, come from the model as they are
   compiled.graph = std::move(graph);
   return compiled;
 }

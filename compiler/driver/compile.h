@@ -18,11 +18,12 @@ struct CompileOptions {
   std::vector<std::string> targets{"lavapipe"};  ///< a variant each, names of known_profiles()
   PassContext passes;
   PassOptions pass_options;
-  std::vector<std::string> kernels;   ///< families to choose from; empty is all. "generic" always may serve
-  bool require_proof = false;         ///< an unproven accumulator is an error, not a warning
+  std::vector<std::string>
+      kernels;  ///< families to choose from; empty is all. "generic" always may serve
+  bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
   bool optimize_spirv = true;
-  std::optional<Frame> frame;         ///< with it the package holds pre and post passes too
-  ShaderLoader load_shader;           ///< needed with `frame`
+  std::optional<Frame> frame;  ///< with it the package holds pre and post passes too
+  ShaderLoader load_shader;    ///< needed with `frame`
   std::string model_name = "model";
   /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
   std::function<bool(size_t done, size_t total)> progress;
@@ -30,11 +31,11 @@ struct CompileOptions {
 
 struct Compiled {
   Package package;
-  Graph graph;                        ///< after the passes, groups set
+  Graph graph;  ///< after the passes, groups set
   std::vector<std::string> warnings;
   std::vector<PassTiming> timings;
   uint64_t arena_lower_bound_bytes = 0;
-  double kernels_ms = 0;              ///< time in code generation and SPIR-V
+  double kernels_ms = 0;  ///< time in code generation and SPIR-V
 };
 
 /// The same input and options give the same bytes. Errors: those of every step.

@@ -28,18 +28,23 @@ class Fields {
     return json_[key].get<std::string>();
   }
 
-  Result<double> number(const char* key, double low, double high, std::optional<double> absent = {}) const {
+  Result<double> number(const char* key, double low, double high,
+                        std::optional<double> absent = {}) const {
     if (!has(key) && absent) return *absent;
-    if (!has(key) || !json_[key].is_number()) return bad_input(where_, "\"{}\" must be a number", key);
+    if (!has(key) || !json_[key].is_number())
+      return bad_input(where_, "\"{}\" must be a number", key);
     const double value = json_[key].get<double>();
-    if (!(value >= low && value <= high)) return bad_input(where_, "\"{}\" is {}, expected {} to {}", key, value, low, high);
+    if (!(value >= low && value <= high))
+      return bad_input(where_, "\"{}\" is {}, expected {} to {}", key, value, low, high);
     return value;
   }
 
-  Result<int64_t> integer(const char* key, int64_t low, int64_t high, std::optional<int64_t> absent = {}) const {
+  Result<int64_t> integer(const char* key, int64_t low, int64_t high,
+                          std::optional<int64_t> absent = {}) const {
     if (!has(key) && absent) return *absent;
     SHALE_TRY(const double value, number(key, static_cast<double>(low), static_cast<double>(high)));
-    if (value != std::floor(value)) return bad_input(where_, "\"{}\" is {}, expected an integer", key, value);
+    if (value != std::floor(value))
+      return bad_input(where_, "\"{}\" is {}, expected an integer", key, value);
     return static_cast<int64_t>(value);
   }
 
@@ -48,7 +53,8 @@ class Fields {
     if (!has(key)) return items;
     if (!json_[key].is_array() || json_[key].size() > kMaxEntries)
       return bad_input(where_, "\"{}\" must be a list of at most {} entries", key, kMaxEntries);
-    for (size_t i = 0; i < json_[key].size(); ++i) items.emplace_back(json_[key][i], fmt::format("{}.{}[{}]", where_, key, i));
+    for (size_t i = 0; i < json_[key].size(); ++i)
+      items.emplace_back(json_[key][i], fmt::format("{}.{}[{}]", where_, key, i));
     return items;
   }
 
@@ -62,7 +68,8 @@ class Fields {
 /// Names become preprocessor definitions, so they are identifiers.
 Result<std::string> identifier(const Fields& fields) {
   SHALE_TRY(const std::string name, fields.text("name"));
-  const bool valid = std::all_of(name.begin(), name.end(), [](unsigned char c) { return std::isalnum(c) != 0 || c == '_'; });
+  const bool valid = std::all_of(name.begin(), name.end(),
+                                 [](unsigned char c) { return std::isalnum(c) != 0 || c == '_'; });
   if (!valid || std::isdigit(static_cast<unsigned char>(name[0])) != 0)
     return bad_input(fields.where(), "the name \"{}\" is no identifier", name);
   return name;
@@ -72,11 +79,17 @@ Result<FrameImage> parse_image(const Fields& fields) {
   FrameImage image;
   SHALE_TRY(image.name, identifier(fields));
   SHALE_TRY(const std::string role, fields.text("role"));
-  if (role == "input") image.category = Category::kImageInput;
-  else if (role == "output") image.category = Category::kImageOutput;
-  else if (role == "internal") image.category = Category::kImageInternal;
-  else if (role == "history") image.category = Category::kImageHistory;
-  else return bad_input(fields.where(), "role \"{}\" is none of input, output, internal, history", role);
+  if (role == "input")
+    image.category = Category::kImageInput;
+  else if (role == "output")
+    image.category = Category::kImageOutput;
+  else if (role == "internal")
+    image.category = Category::kImageInternal;
+  else if (role == "history")
+    image.category = Category::kImageHistory;
+  else
+    return bad_input(fields.where(), "role \"{}\" is none of input, output, internal, history",
+                     role);
   SHALE_TRY(const std::string format, fields.text("format"));
   const std::optional<ImageFormat> known = image_format_from_name(format);
   if (!known || *known == ImageFormat::kRgba8Sint || *known == ImageFormat::kR8Sint)
@@ -112,7 +125,8 @@ Result<FrameBinding> parse_binding(const Fields& fields) {
   binding.writes = access == "write";
   SHALE_TRY(const int64_t back, fields.integer("frames_back", 0, kMaxHistory - 1, 0));
   binding.frames_back = static_cast<uint32_t>(back);
-  if (binding.writes && back != 0) return bad_input(fields.where(), "only this frame's image can be written");
+  if (binding.writes && back != 0)
+    return bad_input(fields.where(), "only this frame's image can be written");
   return binding;
 }
 
@@ -128,12 +142,14 @@ Result<FramePass> parse_pass(const Fields& fields) {
   SHALE_TRY(pass.over, fields.text("over"));
   if (fields.has("workgroup")) {
     const Json& size = fields.json()["workgroup"];
-    if (!size.is_array() || size.size() != 2 || !size[0].is_number_unsigned() || !size[1].is_number_unsigned())
+    if (!size.is_array() || size.size() != 2 || !size[0].is_number_unsigned() ||
+        !size[1].is_number_unsigned())
       return bad_input(fields.where(), "\"workgroup\" must be two whole numbers");
     for (size_t i = 0; i < 2; ++i) {
       const uint64_t value = size[i].get<uint64_t>();
       if (value < 1 || value > kMaxLocalSize)
-        return bad_input(fields.where(), "workgroup size {} is outside 1..{}", value, kMaxLocalSize);
+        return bad_input(fields.where(), "workgroup size {} is outside 1..{}", value,
+                         kMaxLocalSize);
       pass.workgroup[i] = static_cast<uint32_t>(value);
     }
   }
@@ -141,7 +157,8 @@ Result<FramePass> parse_pass(const Fields& fields) {
   for (const Fields& binding : bindings) {
     SHALE_TRY(FrameBinding parsed, parse_binding(binding));
     for (const FrameBinding& other : pass.bindings)
-      if (other.binding == parsed.binding) return bad_input(binding.where(), "binding {} is used twice", parsed.binding);
+      if (other.binding == parsed.binding)
+        return bad_input(binding.where(), "binding {} is used twice", parsed.binding);
     pass.bindings.push_back(std::move(parsed));
   }
   return pass;
@@ -154,7 +171,8 @@ Result<Frame> parse_frame(const std::string& text) {
   if (json.is_discarded() || !json.is_object()) return bad_input("", "is not valid JSON");
   const Fields root(json, "frame");
   SHALE_TRY(const std::string schema, root.text("schema"));
-  if (schema != "shale-frame/1") return bad_input("frame", "schema \"{}\" is unknown, expected \"shale-frame/1\"", schema);
+  if (schema != "shale-frame/1")
+    return bad_input("frame", "schema \"{}\" is unknown, expected \"shale-frame/1\"", schema);
   Frame frame;
   SHALE_TRY(const std::vector<Fields> images, root.list("images"));
   for (const Fields& fields : images) {
@@ -171,7 +189,8 @@ Result<Frame> parse_frame(const std::string& text) {
     SHALE_TRY(FramePass pass, parse_pass(fields));
     frame.passes.push_back(std::move(pass));
   }
-  if (std::count_if(frame.passes.begin(), frame.passes.end(), [](const FramePass& pass) { return pass.is_graph; }) != 1)
+  if (std::count_if(frame.passes.begin(), frame.passes.end(),
+                    [](const FramePass& pass) { return pass.is_graph; }) != 1)
     return bad_input("frame.passes", "exactly one entry must be {{\"graph\": ...}}");
   return frame;
 }

@@ -13,8 +13,8 @@ struct FrameImage {
   std::string name;
   Category category = Category::kImageInternal;
   ImageFormat format = ImageFormat::kNone;
-  double scale = 1.0;         ///< of the network input's height and width
-  uint32_t history_depth = 0; ///< 2 or more for history images
+  double scale = 1.0;          ///< of the network input's height and width
+  uint32_t history_depth = 0;  ///< 2 or more for history images
 };
 
 struct FrameTensor {

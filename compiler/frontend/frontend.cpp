@@ -46,7 +46,9 @@ std::string_view model_format(std::span<const uint8_t> bytes) {
 Result<Graph> import_model(std::span<const uint8_t> bytes) {
   for (const Frontend& frontend : kFrontends)
     if (frontend.recognizes(bytes)) return frontend.import(bytes);
-  return bad_input("", "is no model: found neither the TOSA identifier at offset 4 nor the text form ({} bytes)", bytes.size());
+  return bad_input(
+      "", "is no model: found neither the TOSA identifier at offset 4 nor the text form ({} bytes)",
+      bytes.size());
 }
 
 }  // namespace shale

@@ -36,7 +36,8 @@ Codegen::Codegen(const GroupProblem& problem)
   const auto is_int48 = [&](ValueId id) { return value(id).type.dtype == DType::kInt48; };
   for (const NodeId id : problem.group.nodes) {
     const Node& node = graph_.node(id);
-    if (is_int48(node.output) || std::any_of(node.inputs.begin(), node.inputs.end(), is_int48)) int64_ = true;
+    if (is_int48(node.output) || std::any_of(node.inputs.begin(), node.inputs.end(), is_int48))
+      int64_ = true;
   }
 }
 
@@ -51,7 +52,8 @@ std::string Codegen::linear(const Position& at, const Shape& shape) {
   std::string text;
   for (size_t i = 0; i < shape.size(); ++i) {
     if (shape[i] == 1) continue;
-    text = text.empty() ? at.coords[i] : fmt::format("({} * {} + {})", text, shape[i], at.coords[i]);
+    text =
+        text.empty() ? at.coords[i] : fmt::format("({} * {} + {})", text, shape[i], at.coords[i]);
   }
   return text.empty() ? "0" : text;
 }
@@ -62,8 +64,9 @@ Position Codegen::split(const std::string& index, const Shape& shape) {
   for (size_t i = shape.size(); i-- > 0;) {
     if (shape[i] == 1) continue;
     const std::string quotient = stride == 1 ? index : fmt::format("({} / {})", index, stride);
-    const bool outermost = std::all_of(shape.begin(), shape.begin() + static_cast<std::ptrdiff_t>(i),
-                                       [](int64_t d) { return d == 1; });
+    const bool outermost =
+        std::all_of(shape.begin(), shape.begin() + static_cast<std::ptrdiff_t>(i),
+                    [](int64_t d) { return d == 1; });
     at.coords[i] = outermost ? quotient : fmt::format("({} % {})", quotient, shape[i]);
     stride *= shape[i];
   }
@@ -92,7 +95,8 @@ std::string Codegen::load(ValueId id, const Position& at) {
     if (known) return literal(source.constant->get(index), source.type.dtype);
   }
   const std::optional<NodeId> producer = producers_[id.index];
-  if (producer && problem_.group.contains(*producer) && op_kind(graph_.node(*producer)) == OpKind::kView) {
+  if (producer && problem_.group.contains(*producer) &&
+      op_kind(graph_.node(*producer)) == OpKind::kView) {
     auto function = view_functions_.find(id);
     if (function == view_functions_.end()) {
       const std::string name = fmt::format("view{}", id.index);
@@ -104,14 +108,16 @@ std::string Codegen::load(ValueId id, const Position& at) {
         parameters += fmt::format("{}int i{}", i > 0 ? ", " : "", i);
       }
       const std::string body = view(graph_.node(*producer), formal);
-      functions_ += fmt::format("{} {}({}) {{ return {}; }}\n\n", register_type(source.type.dtype), name,
-                                parameters, body);
+      functions_ += fmt::format("{} {}({}) {{ return {}; }}\n\n", register_type(source.type.dtype),
+                                name, parameters, body);
     }
-    const Position& full = at.coords.size() == source.type.shape.size() ? at : split(at.linear, source.type.shape);
+    const Position& full =
+        at.coords.size() == source.type.shape.size() ? at : split(at.linear, source.type.shape);
     return fmt::format("{}({})", function->second, fmt::join(full.coords, ", "));
   }
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, false);
-  return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding, linear(at, source.type.shape));
+  return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding,
+                     linear(at, source.type.shape));
 }
 
 std::string Codegen::operand(const Node& node, size_t index, const Position& at) {
@@ -128,7 +134,8 @@ std::string Codegen::operand(const Node& node, size_t index, const Position& at)
 std::string Codegen::store(ValueId id, const Position& at, const std::string& expression) {
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, true);
   const TensorType& type = value(id).type;
-  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape), memory_type(type.dtype), expression);
+  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape),
+                     memory_type(type.dtype), expression);
 }
 
 std::string Codegen::elementwise(const Node& node, const Position& at) {
@@ -136,7 +143,9 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
   const std::string a = operand(node, 0, at);
   const auto b = [&] { return operand(node, 1, at); };
   const auto binary = [&](const char* symbol) { return fmt::format("({} {} {})", a, symbol, b()); };
-  const auto compare = [&](const char* symbol) { return fmt::format("int({} {} {})", a, symbol, b()); };
+  const auto compare = [&](const char* symbol) {
+    return fmt::format("int({} {} {})", a, symbol, b());
+  };
   const auto constant = [&](size_t index) { return value(node.inputs[index]).constant->get(0); };
   switch (node.op) {
     case Op::kAdd: return binary("+");
@@ -166,7 +175,8 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
       return narrow(fmt::format("int({} >> {})", pattern, b()), out);
     }
     case Op::kArithmeticRightShift:
-      return node.attrs.flag(Attr::kRound) ? fmt::format("shift_round({}, {})", a, b()) : binary(">>");
+      return node.attrs.flag(Attr::kRound) ? fmt::format("shift_round({}, {})", a, b())
+                                           : binary(">>");
     case Op::kMul: {
       const int64_t shift = constant(2);
       if (shift == 0) return binary("*");
@@ -186,8 +196,11 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
       return fmt::format("clamp({}, {}, {})", negated, range.min, range.max);
     }
     case Op::kTable: {
-      const auto entry = [&](const std::string& index) { return load(node.inputs[1], {{index}, {}}); };
-      if (value(node.inputs[0]).type.dtype == DType::kInt8) return entry(fmt::format("{} + 128", a));
+      const auto entry = [&](const std::string& index) {
+        return load(node.inputs[1], {{index}, {}});
+      };
+      if (value(node.inputs[0]).type.dtype == DType::kInt8)
+        return entry(fmt::format("{} + 128", a));
       const std::string low = entry(fmt::format("({} >> 7) + 256", a));
       const std::string high = entry(fmt::format("({} >> 7) + 257", a));
       return fmt::format("({0} * 128 + ({1} - {0}) * ({2} & 127))", low, high, a);
@@ -236,7 +249,8 @@ std::string Codegen::view(const Node& node, const Position& at) {
     }
     case Op::kTranspose: {
       const std::span<const int64_t> perms = node.attrs.list(Attr::kPerms);
-      for (size_t i = 0; i < perms.size(); ++i) mapped.coords[static_cast<size_t>(perms[i])] = at.coords[i];
+      for (size_t i = 0; i < perms.size(); ++i)
+        mapped.coords[static_cast<size_t>(perms[i])] = at.coords[i];
       return load(source, mapped);
     }
     case Op::kReverse: {
@@ -260,7 +274,8 @@ std::string Codegen::view(const Node& node, const Position& at) {
       for (size_t i = 0; i < from.size(); ++i) {
         if (padding[2 * i] == 0 && padding[2 * i + 1] == 0) continue;
         mapped.coords[i] = fmt::format("({} - {})", at.coords[i], padding[2 * i]);
-        inside += fmt::format("{}uint({}) < {}u", inside.empty() ? "" : " && ", mapped.coords[i], from[i]);
+        inside += fmt::format("{}uint({}) < {}u", inside.empty() ? "" : " && ", mapped.coords[i],
+                              from[i]);
       }
       const std::string element = load(source, mapped);
       if (inside.empty()) return element;
@@ -272,9 +287,11 @@ std::string Codegen::view(const Node& node, const Position& at) {
       std::string text;
       for (size_t i = node.inputs.size(); i-- > 0;) {
         const int64_t begin = end - value(node.inputs[i]).type.shape[axis];
-        mapped.coords[axis] = begin == 0 ? at.coords[axis] : fmt::format("({} - {})", at.coords[axis], begin);
+        mapped.coords[axis] =
+            begin == 0 ? at.coords[axis] : fmt::format("({} - {})", at.coords[axis], begin);
         const std::string part = load(node.inputs[i], mapped);
-        text = text.empty() ? part : fmt::format("({} < {} ? {} : {})", at.coords[axis], end, part, text);
+        text = text.empty() ? part
+                            : fmt::format("({} < {} ? {} : {})", at.coords[axis], end, part, text);
         end = begin;
       }
       return text;
@@ -282,8 +299,9 @@ std::string Codegen::view(const Node& node, const Position& at) {
     case Op::kResize: {
       const std::vector<int64_t> scale = ints(1), offset = ints(2);
       for (size_t axis = 0; axis < 2; ++axis)
-        mapped.coords[axis + 1] = fmt::format("nearest({}, {}, {}, {}, {})", at.coords[axis + 1], scale[2 * axis],
-                                              scale[2 * axis + 1], literal(offset[axis]), from[axis + 1]);
+        mapped.coords[axis + 1] =
+            fmt::format("nearest({}, {}, {}, {}, {})", at.coords[axis + 1], scale[2 * axis],
+                        scale[2 * axis + 1], literal(offset[axis]), from[axis + 1]);
       return load(source, mapped);
     }
     default: break;
@@ -312,10 +330,12 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
     if (binding.type == BindingType::kUniformTexelBuffer) {
       text += fmt::format("layout(set = 0, binding = {0}) uniform isamplerBuffer t{0};\n", i);
     } else {
-      const bool words = binding.type == BindingType::kStorageBuffer && binding.view_format == ImageFormat::kRgba8Sint;
-      text += fmt::format("layout(set = 0, binding = {0}, std430) {1} buffer B{0} {{ {2} d[]; }} b{0};\n", i,
-                          binding.writes ? "writeonly" : "readonly",
-                          words ? "uint" : memory_type(value(binding.value).type.dtype));
+      const bool words = binding.type == BindingType::kStorageBuffer &&
+                         binding.view_format == ImageFormat::kRgba8Sint;
+      text += fmt::format(
+          "layout(set = 0, binding = {0}, std430) {1} buffer B{0} {{ {2} d[]; }} b{0};\n", i,
+          binding.writes ? "writeonly" : "readonly",
+          words ? "uint" : memory_type(value(binding.value).type.dtype));
     }
   }
   return text + "\n" + functions_ + "void main() {\n" + body + "}\n";

@@ -9,14 +9,15 @@
 
 namespace shale {
 
-/// Where an element is: one GLSL expression per dimension, and the row-major index if somebody has it.
+/// Where an element is: one GLSL expression per dimension, and the row-major index if somebody has
+/// it.
 struct Position {
   std::vector<std::string> coords;
   std::string linear;  ///< empty if it has to be computed
 };
 
-/// Turns nodes into GLSL expressions. Registers hold BOOL, INT4, INT8, INT16 and INT32 as `int`, INT48 as
-/// `int64_t`. Values of the group that are computed already are found in `locals`.
+/// Turns nodes into GLSL expressions. Registers hold BOOL, INT4, INT8, INT16 and INT32 as `int`,
+/// INT48 as `int64_t`. Values of the group that are computed already are found in `locals`.
 class Codegen {
  public:
   explicit Codegen(const GroupProblem& problem);
@@ -27,8 +28,8 @@ class Codegen {
   /// The binding number of a buffer value; declares it on first use.
   size_t bind(ValueId id, BindingType type, ImageFormat format, bool writes);
 
-  /// Expression for one element of a value: a local, a literal, a call into a folded view, or a load.
-  /// `at` is a position in the value's own shape.
+  /// Expression for one element of a value: a local, a literal, a call into a folded view, or a
+  /// load. `at` is a position in the value's own shape.
   std::string load(ValueId id, const Position& at);
 
   /// The operand of an elementwise node at a position of the node's result, broadcast applied.
@@ -37,8 +38,8 @@ class Codegen {
   /// Expression of an elementwise node; its in-group operands must be in locals().
   std::string elementwise(const Node& node, const Position& at);
 
-  /// Appends the elementwise nodes after the head to `body`, in order; `at` is a position of the group's
-  /// result. `suffix` keeps locals of unrolled copies apart.
+  /// Appends the elementwise nodes after the head to `body`, in order; `at` is a position of the
+  /// group's result. `suffix` keeps locals of unrolled copies apart.
   void epilogue(std::string& body, const Position& at, const std::string& suffix);
 
   /// Stores `expression` as an element of the group's result.
@@ -62,7 +63,9 @@ class Codegen {
   /// Position from a row-major index expression.
   static Position split(const std::string& index, const Shape& shape);
   /// GLSL type of a register.
-  static const char* register_type(DType dtype) { return dtype == DType::kInt48 ? "int64_t" : "int"; }
+  static const char* register_type(DType dtype) {
+    return dtype == DType::kInt48 ? "int64_t" : "int";
+  }
   /// A decimal literal that GLSL accepts, the most negative int included.
   static std::string literal(int64_t value, DType dtype = DType::kInt32);
 

@@ -13,7 +13,8 @@ constexpr int64_t kMaxGroupsX = 65535;  // Vulkan's guaranteed maxComputeWorkGro
 /// Code that leaves the head's result in the local `h`.
 class HeadEmitter {
  public:
-  HeadEmitter(Codegen& codegen, const Node& node, const Position& at) : c_(codegen), node_(node), at_(at) {}
+  HeadEmitter(Codegen& codegen, const Node& node, const Position& at)
+      : c_(codegen), node_(node), at_(at) {}
 
   std::string emit() {
     switch (node_.op) {
@@ -80,17 +81,20 @@ class HeadEmitter {
       tap.insert(tap.begin(), oc);
       tap.push_back("c");
     }
-    product = fmt::format("    acc += {}({}) * {};\n", widen, centred(0, in_at, 3), centred(1, tap, 4));
+    product =
+        fmt::format("    acc += {}({}) * {};\n", widen, centred(0, in_at, 3), centred(1, tap, 4));
     std::string code = depthwise ? product : loop("c", weight.back(), product);
     for (size_t axis = axes; axis-- > 0;) {
       const std::string& out = at_.coords[axis + 1];
       std::string position;
       if (transpose) {
-        position = fmt::format("    int q{0} = {1} - {2} - k{0};\n    if (q{0} < 0 || q{0} % {3} != 0) continue;\n"
-                               "    int p{0} = q{0} / {3};\n", axis, out, Codegen::literal(pad[2 * axis]), stride[axis]);
+        position = fmt::format(
+            "    int q{0} = {1} - {2} - k{0};\n    if (q{0} < 0 || q{0} % {3} != 0) continue;\n"
+            "    int p{0} = q{0} / {3};\n",
+            axis, out, Codegen::literal(pad[2 * axis]), stride[axis]);
       } else {
-        position = fmt::format("    int p{0} = {1} * {2} - {3} + k{0} * {4};\n", axis, out, stride[axis], pad[2 * axis],
-                               dilation[axis]);
+        position = fmt::format("    int p{0} = {1} * {2} - {3} + k{0} * {4};\n", axis, out,
+                               stride[axis], pad[2 * axis], dilation[axis]);
       }
       position += fmt::format("    if (uint(p{0}) >= {1}u) continue;\n", axis, in[axis + 1]);
       code = loop(fmt::format("k{}", axis), weight[first_kernel_axis + axis], position + code);
@@ -101,10 +105,11 @@ class HeadEmitter {
 
   std::string matmul() {
     const std::vector<std::string>& o = at_.coords;
-    const std::string product = fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, {o[0], o[1], "c"}, 2),
-                                            centred(1, {o[0], "c", o[2]}, 3));
-    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(), Codegen::literal(0, result()),
-                       loop("c", shape(0)[2], product));
+    const std::string product =
+        fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, {o[0], o[1], "c"}, 2),
+                    centred(1, {o[0], "c", o[2]}, 3));
+    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(),
+                       Codegen::literal(0, result()), loop("c", shape(0)[2], product));
   }
 
   std::string pool() {
@@ -117,16 +122,18 @@ class HeadEmitter {
     std::string code = average ? fmt::format("    acc += {}; ++count;\n", centred(0, tap, 1))
                                : fmt::format("    acc = max(acc, {});\n", load(0, tap));
     for (size_t axis = 2; axis-- > 0;) {
-      const std::string position =
-          fmt::format("    int p{0} = {1} * {2} - {3} + k{0};\n    if (uint(p{0}) >= {4}u) continue;\n", axis,
-                      at_.coords[axis + 1], stride[axis], pad[2 * axis], shape(0)[axis + 1]);
+      const std::string position = fmt::format(
+          "    int p{0} = {1} * {2} - {3} + k{0};\n    if (uint(p{0}) >= {4}u) continue;\n", axis,
+          at_.coords[axis + 1], stride[axis], pad[2 * axis], shape(0)[axis + 1]);
       code = loop(fmt::format("k{}", axis), kernel[axis], position + code);
     }
     if (!average) return fmt::format("  int acc = {};\n{}  int h = acc;\n", range.min, code);
     c_.use_int64();
     const int64_t zp = c_.value(node_.inputs[2]).constant->get(0);
-    return fmt::format("  int acc = 0;\n  int count = 0;\n{}  int h = clamp(average_pool(acc, count) + {}, {}, {});\n", code,
-                       Codegen::literal(zp), range.min, range.max);
+    return fmt::format(
+        "  int acc = 0;\n  int count = 0;\n{}  int h = clamp(average_pool(acc, count) + {}, {}, "
+        "{});\n",
+        code, Codegen::literal(zp), range.min, range.max);
   }
 
   std::string bilinear() {
@@ -135,30 +142,36 @@ class HeadEmitter {
     std::string code;
     for (size_t axis = 0; axis < 2; ++axis)
       code += fmt::format(
-          "  int s{0} = {1} * {2} + {3};\n  int q{0} = (s{0} + {4}) / {4} - 1;\n  int f{0} = s{0} - q{0} * {4};\n"
+          "  int s{0} = {1} * {2} + {3};\n  int q{0} = (s{0} + {4}) / {4} - 1;\n  int f{0} = s{0} "
+          "- q{0} * {4};\n"
           "  int u{0} = max(q{0}, 0);\n  int v{0} = min(q{0} + 1, {5});\n",
-          axis, at_.coords[axis + 1], scale[2 * axis + 1], Codegen::literal(offset[axis]), scale[2 * axis],
-          shape(0)[axis + 1] - 1);
-    const auto term = [&](const char* y, const char* x, const std::string& weight_y, const std::string& weight_x) {
-      return fmt::format("{}({}) * {} * {}", accumulator(), load(0, {at_.coords[0], y, x, at_.coords[3]}), weight_y,
-                         weight_x);
+          axis, at_.coords[axis + 1], scale[2 * axis + 1], Codegen::literal(offset[axis]),
+          scale[2 * axis], shape(0)[axis + 1] - 1);
+    const auto term = [&](const char* y, const char* x, const std::string& weight_y,
+                          const std::string& weight_x) {
+      return fmt::format("{}({}) * {} * {}", accumulator(),
+                         load(0, {at_.coords[0], y, x, at_.coords[3]}), weight_y, weight_x);
     };
-    const std::string near_y = fmt::format("({} - f0)", scale[0]), near_x = fmt::format("({} - f1)", scale[2]);
-    return code + fmt::format("  {} h = {} + {} + {} + {};\n", accumulator(), term("u0", "u1", near_y, near_x),
-                              term("u0", "v1", near_y, "f1"), term("v0", "u1", "f0", near_x), term("v0", "v1", "f0", "f1"));
+    const std::string near_y = fmt::format("({} - f0)", scale[0]),
+                      near_x = fmt::format("({} - f1)", scale[2]);
+    return code + fmt::format("  {} h = {} + {} + {} + {};\n", accumulator(),
+                              term("u0", "u1", near_y, near_x), term("u0", "v1", near_y, "f1"),
+                              term("v0", "u1", "f0", near_x), term("v0", "v1", "f0", "f1"));
   }
 
   std::string gather() {
     // An index outside the values has no result in TOSA; clamped, it cannot read foreign memory.
     const std::string index = load(1, {at_.coords[0], at_.coords[1]});
-    return fmt::format("  int k = clamp({}, 0, {});\n  {} h = {};\n", index, shape(0)[1] - 1, accumulator(),
-                       load(0, {at_.coords[0], "k", at_.coords[2]}));
+    return fmt::format("  int k = clamp({}, 0, {});\n  {} h = {};\n", index, shape(0)[1] - 1,
+                       accumulator(), load(0, {at_.coords[0], "k", at_.coords[2]}));
   }
 
   std::string scatter() {
-    const std::string take = fmt::format("    if ({} == {}) acc = {};\n", load(1, {at_.coords[0], "w"}), at_.coords[1],
-                                         load(2, {at_.coords[0], "w", at_.coords[2]}));
-    return fmt::format("  int acc = {};\n{}  int h = acc;\n", load(0, at_.coords), loop("w", shape(1)[1], take));
+    const std::string take =
+        fmt::format("    if ({} == {}) acc = {};\n", load(1, {at_.coords[0], "w"}), at_.coords[1],
+                    load(2, {at_.coords[0], "w", at_.coords[2]}));
+    return fmt::format("  int acc = {};\n{}  int h = acc;\n", load(0, at_.coords),
+                       loop("w", shape(1)[1], take));
   }
 
   std::string argmax() {
@@ -166,9 +179,10 @@ class HeadEmitter {
     std::vector<std::string> coords = at_.coords;
     coords.insert(coords.begin() + static_cast<std::ptrdiff_t>(axis), "k");
     const std::string element = load(0, coords);
-    return fmt::format("  int h = 0;\n  int best = {};\n{}", dtype_range(c_.value(node_.inputs[0]).type.dtype).min,
-                       loop("k", shape(0)[axis], fmt::format("    int x = {};\n    if (x > best) {{ best = x; h = k; }}\n",
-                                                             element)));
+    return fmt::format(
+        "  int h = 0;\n  int best = {};\n{}", dtype_range(c_.value(node_.inputs[0]).type.dtype).min,
+        loop("k", shape(0)[axis],
+             fmt::format("    int x = {};\n    if (x > best) {{ best = x; h = k; }}\n", element)));
   }
 
   std::string reduce() {
@@ -180,9 +194,18 @@ class HeadEmitter {
     switch (node_.op) {
       case Op::kReduceSum: step = "acc + " + x; break;
       case Op::kReduceAny: step = "acc | " + x; break;
-      case Op::kReduceAll: start = "1"; step = "acc & " + x; break;
-      case Op::kReduceMax: start = Codegen::literal(dtype_range(result()).min); step = fmt::format("max(acc, {})", x); break;
-      case Op::kReduceMin: start = Codegen::literal(dtype_range(result()).max); step = fmt::format("min(acc, {})", x); break;
+      case Op::kReduceAll:
+        start = "1";
+        step = "acc & " + x;
+        break;
+      case Op::kReduceMax:
+        start = Codegen::literal(dtype_range(result()).min);
+        step = fmt::format("max(acc, {})", x);
+        break;
+      case Op::kReduceMin:
+        start = Codegen::literal(dtype_range(result()).max);
+        step = fmt::format("min(acc, {})", x);
+        break;
       default: SHALE_CHECK(false && "no reduction");
     }
     return fmt::format("  int acc = {};\n{}  int h = acc;\n", start,
@@ -201,8 +224,8 @@ bool generic_supports(const GroupProblem&, const DeviceProfile&) { return true; 
 double generic_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
   const double elements = static_cast<double>(
       element_count(problem.graph->value(problem.group.result).type.shape).value_or(0));
-  return 2e-3 * static_cast<double>(problem.cost.macs) / profile.generic_gops + 1e-3 * elements * profile.element_ns +
-         profile.launch_us;
+  return 2e-3 * static_cast<double>(problem.cost.macs) / profile.generic_gops +
+         1e-3 * elements * profile.element_ns + profile.launch_us;
 }
 
 Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem, const DeviceProfile&) {
@@ -213,9 +236,10 @@ Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem, cons
   const int64_t groups_x = std::min(groups, kMaxGroupsX);
   const int64_t groups_y = (groups + groups_x - 1) / groups_x;
 
-  std::string body = fmt::format("  uint invocation = gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * {}u;\n"
-                                 "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
-                                 groups_x * kLocalSize, count);
+  std::string body = fmt::format(
+      "  uint invocation = gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * {}u;\n"
+      "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
+      groups_x * kLocalSize, count);
   // One named local per dimension keeps the expressions below short.
   Position at = Codegen::split("index", result.type.shape);
   for (size_t i = 0; i < at.coords.size(); ++i) {
@@ -231,7 +255,8 @@ Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem, cons
   }
   codegen.epilogue(body, at, "");
   const Node& last = problem.graph->node(problem.group.nodes.back());
-  const std::string value = op_kind(last) == OpKind::kView ? codegen.view(last, at) : codegen.load(last.output, at);
+  const std::string value =
+      op_kind(last) == OpKind::kView ? codegen.view(last, at) : codegen.load(last.output, at);
   body += codegen.store(problem.group.result, at, value);
   KernelSource source;
   source.glsl = codegen.finish(fmt::format("local_size_x = {}", kLocalSize), body);

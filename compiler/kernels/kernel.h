@@ -26,11 +26,13 @@ struct KernelSource {
   std::string glsl;
   std::array<uint32_t, 3> workgroups{1, 1, 1};
   std::vector<KernelBinding> bindings;
-  bool optimize = true;  ///< false where spirv-opt costs much and gains nothing: literal-heavy modules
+  bool optimize =
+      true;  ///< false where spirv-opt costs much and gains nothing: literal-heavy modules
 };
 
 /// Bounds of a convolution's accumulators from the actual weights, per output channel.
-/// `min`, `max`: of the final accumulator. `magnitude`: of every partial sum in any order, bias left out.
+/// `min`, `max`: of the final accumulator. `magnitude`: of every partial sum in any order, bias
+/// left out.
 struct RangeProofData {
   std::vector<int64_t> min, max, magnitude;
 };
@@ -49,12 +51,13 @@ struct KernelFamily {
   /// Estimated time in microseconds on the profile.
   double (*time_us)(const GroupProblem& problem, const DeviceProfile& profile);
   /// Errors: kUnsupported where the group is outside the family after all.
-  Result<std::vector<KernelSource>> (*emit)(const GroupProblem& problem, const DeviceProfile& profile);
+  Result<std::vector<KernelSource>> (*emit)(const GroupProblem& problem,
+                                            const DeviceProfile& profile);
 };
 
-#define SHALE_KERNEL(name, supports, time_us, emit)                                                  \
-  bool supports(const GroupProblem&, const DeviceProfile&);                                          \
-  double time_us(const GroupProblem&, const DeviceProfile&);                                         \
+#define SHALE_KERNEL(name, supports, time_us, emit)          \
+  bool supports(const GroupProblem&, const DeviceProfile&);  \
+  double time_us(const GroupProblem&, const DeviceProfile&); \
   Result<std::vector<KernelSource>> emit(const GroupProblem&, const DeviceProfile&);
 #include "compiler/kernels/kernels.def"
 
@@ -69,8 +72,8 @@ const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfi
 /// constant weights and bias), or nothing. Source: ours, shown in tests/compiler/range_proof_test.
 std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& group);
 
-/// Smallest and largest value that `id` can hold, from its type and from CLAMP, TABLE, RESCALE limits
-/// and constants before it.
+/// Smallest and largest value that `id` can hold, from its type and from CLAMP, TABLE, RESCALE
+/// limits and constants before it.
 IntRange value_range(const Graph& graph, ValueId id);
 
 }  // namespace shale

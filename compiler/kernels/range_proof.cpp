@@ -15,7 +15,8 @@ IntRange constant_range(const Tensor& tensor) {
 }
 
 /// `producers` once for the whole walk; views and clamps lead on to their operands.
-IntRange range_of(const Graph& graph, ValueId id, const std::vector<std::optional<NodeId>>& producers) {
+IntRange range_of(const Graph& graph, ValueId id,
+                  const std::vector<std::optional<NodeId>>& producers) {
   const Value& value = graph.value(id);
   if (value.is_constant()) return constant_range(*value.constant);
   const IntRange whole = dtype_range(value.type.dtype);
@@ -28,38 +29,43 @@ IntRange range_of(const Graph& graph, ValueId id, const std::vector<std::optiona
       return {std::clamp(in.min, low, high), std::clamp(in.max, low, high)};
     }
     case Op::kTable:
-      return value.type.dtype == DType::kInt8 ? constant_range(*graph.value(node.inputs[1]).constant) : whole;
+      return value.type.dtype == DType::kInt8
+                 ? constant_range(*graph.value(node.inputs[1]).constant)
+                 : whole;
     case Op::kIdentity:
     case Op::kReshape:
     case Op::kReverse:
     case Op::kSlice:
     case Op::kTile:
     case Op::kTranspose:
-    case Op::kMaxPool2d:
-      return range_of(graph, node.inputs[0], producers);
+    case Op::kMaxPool2d: return range_of(graph, node.inputs[0], producers);
     case Op::kResize:
-      return node.attrs.get(Attr::kMode) == kNearest ? range_of(graph, node.inputs[0], producers) : whole;
+      return node.attrs.get(Attr::kMode) == kNearest ? range_of(graph, node.inputs[0], producers)
+                                                     : whole;
     case Op::kPad:
-      return join(range_of(graph, node.inputs[0], producers), range_of(graph, node.inputs[2], producers));
+      return join(range_of(graph, node.inputs[0], producers),
+                  range_of(graph, node.inputs[2], producers));
     case Op::kConcat: {
       IntRange all = range_of(graph, node.inputs[0], producers);
       for (const ValueId part : node.inputs) all = join(all, range_of(graph, part, producers));
       return all;
     }
-    default:
-      return whole;
+    default: return whole;
   }
 }
 
 }  // namespace
 
-IntRange value_range(const Graph& graph, ValueId id) { return range_of(graph, id, graph.producers()); }
+IntRange value_range(const Graph& graph, ValueId id) {
+  return range_of(graph, id, graph.producers());
+}
 
 std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& group) {
   if (!group.head) return std::nullopt;
   const Node& node = graph.node(*group.head);
   const bool depthwise = node.op == Op::kDepthwiseConv2d;
-  if (!depthwise && node.op != Op::kConv2d && node.op != Op::kConv3d && node.op != Op::kTransposeConv2d)
+  if (!depthwise && node.op != Op::kConv2d && node.op != Op::kConv3d &&
+      node.op != Op::kTransposeConv2d)
     return std::nullopt;
   const Value& weight = graph.value(node.inputs[1]);
   const Value& bias = graph.value(node.inputs[2]);
@@ -69,8 +75,8 @@ std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& grou
   const IntRange raw = value_range(graph, node.inputs[0]);
   // A padded tap contributes 0, so 0 belongs to the range of x - zp.
   const IntRange centred = join({raw.min - zp, raw.max - zp}, {0, 0});
-  // Kernels multiply raw bytes and take zp * sum(w) off the bias, so their partial sums see raw values;
-  // a padded tap reads zp.
+  // Kernels multiply raw bytes and take zp * sum(w) off the bias, so their partial sums see raw
+  // values; a padded tap reads zp.
   const int64_t largest = std::max({std::abs(raw.min), std::abs(raw.max), std::abs(zp)});
   const size_t channels = static_cast<size_t>(graph.value(node.output).type.shape.back());
   RangeProofData proof;
@@ -78,11 +84,13 @@ std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& grou
   proof.max.resize(channels);
   proof.magnitude.resize(channels);
   for (size_t c = 0; c < channels; ++c)
-    proof.min[c] = proof.max[c] = bias.constant->get(bias.constant->count() == 1 ? 0 : static_cast<int64_t>(c));
+    proof.min[c] = proof.max[c] =
+        bias.constant->get(bias.constant->count() == 1 ? 0 : static_cast<int64_t>(c));
   const int64_t elements = weight.constant->count();
   for (int64_t i = 0; i < elements; ++i) {
-    const size_t c = static_cast<size_t>(depthwise ? i % static_cast<int64_t>(channels)
-                                                   : i / (elements / static_cast<int64_t>(channels)));
+    const size_t c =
+        static_cast<size_t>(depthwise ? i % static_cast<int64_t>(channels)
+                                      : i / (elements / static_cast<int64_t>(channels)));
     const int64_t w = weight.constant->get(i) - weight_zp;
     proof.min[c] += std::min(w * centred.min, w * centred.max);
     proof.max[c] += std::max(w * centred.min, w * centred.max);

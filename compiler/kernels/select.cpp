@@ -20,7 +20,8 @@ const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfi
   double best_us = 0;
   for (const KernelFamily& family : kKernels) {
     const bool is_generic = &family == &kKernels[std::size(kKernels) - 1];
-    if (!allowed.empty() && !is_generic && std::find(allowed.begin(), allowed.end(), family.name) == allowed.end())
+    if (!allowed.empty() && !is_generic &&
+        std::find(allowed.begin(), allowed.end(), family.name) == allowed.end())
       continue;
     if (!family.supports(problem, profile)) continue;
     const double time_us = family.time_us(problem, profile);

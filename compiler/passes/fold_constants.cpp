@@ -19,7 +19,8 @@ Result<Change> fold_constants(Graph& graph, const PassContext&) {
     std::vector<const Tensor*> operands;
     for (const ValueId id : node.inputs)
       if (graph.value(id).is_constant()) operands.push_back(&*graph.value(id).constant);
-    if (operands.size() < node.inputs.size() || element_count(result.type.shape) > kMaxFoldedElements) {
+    if (operands.size() < node.inputs.size() ||
+        element_count(result.type.shape) > kMaxFoldedElements) {
       kept.push_back(node);
       continue;
     }

@@ -1,9 +1,10 @@
-// Folds the zero points of int8 convolutions into bias and weights, so that kernels multiply raw bytes:
+// Folds the zero points of int8 convolutions into bias and weights, so that kernels multiply raw
+// bytes:
 //
 //   sum (x - zp) * (w - wzp) + b  =  sum x * w' + (b - zp * sum w'),   w' = w - wzp
 //
-// A padded tap contributes nothing, that is, it reads zp; so the pads become a PAD node with that value,
-// which fuse-views folds into the convolution's addressing again.
+// A padded tap contributes nothing, that is, it reads zp; so the pads become a PAD node with that
+// value, which fuse-views folds into the convolution's addressing again.
 #include <algorithm>
 
 #include "compiler/passes/pass.h"
@@ -79,7 +80,8 @@ Result<Change> fold_zero_point(Graph& graph, const PassContext&) {
       TensorType padded = input;
       padded.shape[1] += pad[0] + pad[1];
       padded.shape[2] += pad[2] + pad[3];
-      const ValueId padding = graph.add_shape(name + ".padding", {0, 0, pad[0], pad[1], pad[2], pad[3], 0, 0});
+      const ValueId padding =
+          graph.add_shape(name + ".padding", {0, 0, pad[0], pad[1], pad[2], pad[3], 0, 0});
       const ValueId value = graph.add_constant(
           name + ".pad_value", Tensor::from_ints({input.dtype, {1}}, std::vector<int64_t>{zp}));
       const ValueId pad_result = graph.add_value(name + ".padded", padded);
@@ -87,12 +89,14 @@ Result<Change> fold_zero_point(Graph& graph, const PassContext&) {
       node.inputs[kInput] = pad_result;
       node.attrs.set(Attr::kPad, std::vector<int64_t>{0, 0, 0, 0});
     }
-    const auto constant = [&](const char* suffix, TensorType type, const std::vector<int64_t>& values) {
+    const auto constant = [&](const char* suffix, TensorType type,
+                              const std::vector<int64_t>& values) {
       return graph.add_constant(name + suffix, Tensor::from_ints(std::move(type), values));
     };
     const Shape weight_shape = graph.value(node.inputs[kWeight]).type.shape;
     const int64_t channels = static_cast<int64_t>(folded->bias.size());
-    if (weight_zp != 0) node.inputs[kWeight] = constant(".weight", {DType::kInt8, weight_shape}, folded->weight);
+    if (weight_zp != 0)
+      node.inputs[kWeight] = constant(".weight", {DType::kInt8, weight_shape}, folded->weight);
     node.inputs[kBias] = constant(".bias", {DType::kInt32, {channels}}, folded->bias);
     node.inputs[kInputZp] = node.inputs[kWeightZp] = constant(".zero", {DType::kInt8, {1}}, {0});
     result.push_back(std::move(node));

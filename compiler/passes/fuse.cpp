@@ -14,7 +14,8 @@ constexpr size_t kMaxGroupOperands = 12;
 
 /// Constants of one element and shapes become literals of the kernel.
 bool binds_buffer(const Value& value) {
-  return value.type.dtype != DType::kShape && !(value.is_constant() && value.constant->count() == 1);
+  return value.type.dtype != DType::kShape &&
+         !(value.is_constant() && value.constant->count() == 1);
 }
 
 /// Groups under construction, as disjoint sets of nodes.
@@ -49,7 +50,8 @@ class Grouping {
       if (op_kind(node) == OpKind::kHead) ++heads;
       for (const ValueId id : node.inputs) {
         const auto producer = producers_[id.index];
-        const bool inside = producer && (owner_[producer->index] == owner_[a] || owner_[producer->index] == owner_[b]);
+        const bool inside = producer && (owner_[producer->index] == owner_[a] ||
+                                         owner_[producer->index] == owner_[b]);
         if (!inside && binds_buffer(graph_.value(id))) operands.insert(id);
       }
     }
@@ -69,7 +71,9 @@ class Grouping {
     for (uint32_t i = 0; i < owner_.size(); ++i) {
       const bool alone = sizes[owner_[i]] == 1;
       graph_.nodes[i].group =
-          alone ? 0 : numbers.try_emplace(owner_[i], static_cast<uint32_t>(numbers.size() + 1)).first->second;
+          alone ? 0
+                : numbers.try_emplace(owner_[i], static_cast<uint32_t>(numbers.size() + 1))
+                      .first->second;
     }
     return Change::kChanged;
   }
@@ -82,17 +86,17 @@ class Grouping {
   bool merged_ = false;
 };
 
-/// Views that convolution kernels take into their addressing; others would cost index arithmetic for
-/// every tap.
+/// Views that convolution kernels take into their addressing; others would cost index arithmetic
+/// for every tap.
 bool folds_into_convolution(const Node& view) {
   return view.op == Op::kPad || view.op == Op::kConcat || view.op == Op::kResize;
 }
 
 }  // namespace
 
-/// Joins an elementwise node with the producer of an operand of the same shape, if nobody else reads
-/// that operand: the value then stays in registers. Since the operand is the producer group's only
-/// result and has one reader, no cycle can arise.
+/// Joins an elementwise node with the producer of an operand of the same shape, if nobody else
+/// reads that operand: the value then stays in registers. Since the operand is the producer group's
+/// only result and has one reader, no cycle can arise.
 Result<Change> fuse_elementwise(Graph& graph, const PassContext&) {
   Grouping groups(graph);
   for (uint32_t i = 0; i < graph.nodes.size(); ++i) {
@@ -118,8 +122,8 @@ Result<Change> fuse_views(Graph& graph, const PassContext&) {
     for (size_t operand = 0; operand < node.inputs.size(); ++operand) {
       const std::optional<uint32_t> producer = groups.private_producer(node.inputs[operand]);
       if (!producer || op_kind(graph.nodes[*producer]) != OpKind::kView) continue;
-      if (kind == OpKind::kHead &&
-          (node.op != Op::kConv2d || operand != 0 || !folds_into_convolution(graph.nodes[*producer])))
+      if (kind == OpKind::kHead && (node.op != Op::kConv2d || operand != 0 ||
+                                    !folds_into_convolution(graph.nodes[*producer])))
         continue;
       if (groups.may_merge(i, *producer)) groups.merge(i, *producer);
     }

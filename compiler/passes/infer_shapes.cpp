@@ -10,7 +10,8 @@ Result<Change> infer_shapes(Graph& graph, const PassContext& context) {
   Change change = Change::kNone;
   for (const auto& [name, shape] : context.input_shapes) {
     const std::optional<ValueId> id = graph.find_value(name);
-    const bool is_input = id && std::find(graph.inputs.begin(), graph.inputs.end(), *id) != graph.inputs.end();
+    const bool is_input =
+        id && std::find(graph.inputs.begin(), graph.inputs.end(), *id) != graph.inputs.end();
     if (!is_input) return bad_input("--input-shape", "the graph has no input \"{}\"", name);
     Value& input = graph.value(*id);
     if (!element_count(shape))
@@ -23,7 +24,8 @@ Result<Change> infer_shapes(Graph& graph, const PassContext& context) {
   }
   for (const ValueId id : graph.inputs) {
     const Value& input = graph.value(id);
-    if (std::find(input.type.shape.begin(), input.type.shape.end(), kDynamic) != input.type.shape.end())
+    if (std::find(input.type.shape.begin(), input.type.shape.end(), kDynamic) !=
+        input.type.shape.end())
       return bad_input("input \"" + input.name + "\"",
                        "its shape {} is open; give it with --input-shape {}=N,H,W,C",
                        shape_text(input.type.shape), input.name);

@@ -23,11 +23,14 @@ Result<Change> merge_equal(Graph& graph, const PassContext&) {
     const auto same = std::find_if(first, last, [&](const auto& entry) {
       return graph.value(entry.second).constant == value.constant;
     });
-    if (same == last) constants.emplace(hash, ValueId{i});
-    else renamed[i] = same->second;
+    if (same == last)
+      constants.emplace(hash, ValueId{i});
+    else
+      renamed[i] = same->second;
   }
 
-  // The element type of the result is part of what a node computes: CAST has its target type only there.
+  // The element type of the result is part of what a node computes: CAST has its target type only
+  // there.
   std::map<std::tuple<Op, std::vector<ValueId>, Attrs, DType, uint32_t>, ValueId> seen;
   std::erase_if(graph.nodes, [&](Node& node) {
     for (ValueId& input : node.inputs) {
@@ -38,7 +41,8 @@ Result<Change> merge_equal(Graph& graph, const PassContext&) {
     const auto [entry, is_new] =
         seen.try_emplace({node.op, node.inputs, node.attrs, result, node.group}, node.output);
     // A graph output keeps its own node, since outputs are told apart by their values.
-    const bool is_output = std::find(graph.outputs.begin(), graph.outputs.end(), node.output) != graph.outputs.end();
+    const bool is_output =
+        std::find(graph.outputs.begin(), graph.outputs.end(), node.output) != graph.outputs.end();
     if (is_new || is_output) return false;
     renamed[node.output.index] = entry->second;
     change = Change::kChanged;

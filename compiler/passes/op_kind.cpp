@@ -13,8 +13,7 @@ OpKind op_kind(const Node& node) {
     case Op::kSlice:
     case Op::kTile:
     case Op::kTranspose:
-    case Op::kIdentity:
-      return OpKind::kView;
+    case Op::kIdentity: return OpKind::kView;
     case Op::kResize:
       return node.attrs.get(Attr::kMode) == kNearest ? OpKind::kView : OpKind::kHead;
     case Op::kArgmax:
@@ -31,10 +30,8 @@ OpKind op_kind(const Node& node) {
     case Op::kReduceMin:
     case Op::kReduceSum:
     case Op::kGather:
-    case Op::kScatter:
-      return OpKind::kHead;
-    default:
-      return OpKind::kElementwise;
+    case Op::kScatter: return OpKind::kHead;
+    default: return OpKind::kElementwise;
   }
 }
 
@@ -42,7 +39,8 @@ std::vector<Group> collect_groups(const Graph& graph) {
   std::map<uint32_t, uint32_t> last_node;  // group number to its last node
   for (uint32_t i = 0; i < graph.nodes.size(); ++i)
     if (graph.nodes[i].group != 0) last_node[graph.nodes[i].group] = i;
-  std::map<uint32_t, Group> by_last;  // a consumer's last node comes after its producers' last nodes
+  std::map<uint32_t, Group>
+      by_last;  // a consumer's last node comes after its producers' last nodes
   for (uint32_t i = 0; i < graph.nodes.size(); ++i) {
     const Node& node = graph.nodes[i];
     Group& group = by_last[node.group == 0 ? i : last_node[node.group]];

@@ -14,8 +14,9 @@ enum class OpKind {
 /// RESIZE is a view in nearest mode and a head in bilinear mode.
 OpKind op_kind(const Node& node);
 
-/// A group as codegen sees it: views feed the head (or the first elementwise nodes), elementwise nodes
-/// follow. Nodes are in graph order; the last one's result is the group's only result in memory.
+/// A group as codegen sees it: views feed the head (or the first elementwise nodes), elementwise
+/// nodes follow. Nodes are in graph order; the last one's result is the group's only result in
+/// memory.
 struct Group {
   std::vector<NodeId> nodes;
   std::optional<NodeId> head;

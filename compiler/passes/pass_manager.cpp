@@ -36,7 +36,8 @@ Result<std::vector<PassTiming>> run_passes(Graph& graph, const PassContext& cont
     SHALE_CHECK(pass != nullptr);
     const auto start = std::chrono::steady_clock::now();
     SHALE_TRY(const Change change, run_pass(*pass, graph, context));
-    const std::chrono::duration<double, std::micro> elapsed = std::chrono::steady_clock::now() - start;
+    const std::chrono::duration<double, std::micro> elapsed =
+        std::chrono::steady_clock::now() - start;
     timings.push_back({pass->name, elapsed.count(), change});
     if (options.after) options.after(pass->name, graph);
     if (options.verify_each) {

@@ -13,8 +13,8 @@ Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& co
   // Shapes come first: the verifier and every later pass need them closed.
   static constexpr std::string_view kNeeded[] = {"infer-shapes"};
   static constexpr std::string_view kOptimize[] = {
-      "fold-constants",    // before merging, so that computed constants are merged too
-      "remove-identity",   // exposes equal operands to merge-equal
+      "fold-constants",   // before merging, so that computed constants are merged too
+      "remove-identity",  // exposes equal operands to merge-equal
       "merge-equal",
       "fold-zero-point",   // makes the pads of convolutions explicit; fuse-views folds them again
       "fold-constants",    // weights and biases that the previous pass touched

@@ -14,8 +14,7 @@ bool passes_through(const Graph& graph, const Node& node) {
     case Op::kIdentity:
     case Op::kReshape:
     case Op::kSlice:  // with the operand's shape it takes all of it
-    case Op::kTile:
-      return true;
+    case Op::kTile: return true;
     case Op::kConcat: return node.inputs.size() == 1;
     case Op::kPad: {
       const std::vector<int64_t> padding = graph.value(node.inputs[1]).constant->ints();
@@ -27,7 +26,8 @@ bool passes_through(const Graph& graph, const Node& node) {
     }
     case Op::kClamp: {
       const IntRange range = dtype_range(from.dtype);
-      return node.attrs.get(Attr::kMinVal) <= range.min && node.attrs.get(Attr::kMaxVal) >= range.max;
+      return node.attrs.get(Attr::kMinVal) <= range.min &&
+             node.attrs.get(Attr::kMaxVal) >= range.max;
     }
     default: return false;
   }
@@ -41,7 +41,8 @@ Result<Change> remove_identity(Graph& graph, const PassContext&) {
   for (size_t i = 0; i < graph.nodes.size(); ++i) {
     const ValueId result = graph.nodes[i].output;
     // A graph output keeps its name and its own memory.
-    if (std::find(graph.outputs.begin(), graph.outputs.end(), result) != graph.outputs.end()) continue;
+    if (std::find(graph.outputs.begin(), graph.outputs.end(), result) != graph.outputs.end())
+      continue;
     if (!passes_through(graph, graph.nodes[i])) continue;
     graph.replace_uses(result, graph.nodes[i].inputs[0]);
     dropped[i] = true;

@@ -1,4 +1,5 @@
-// compiler/spirv/check.h -- SPIR-V modules: optimized, validated, listed, and read for what they need.
+// compiler/spirv/check.h -- SPIR-V modules: optimized, validated, listed, and read for what they
+// need.
 #pragma once
 
 #include <string>

@@ -22,7 +22,8 @@ class EmbeddedIncluder : public glslang::TShader::Includer {
     if (depth > 8) return nullptr;
     for (const embedded_include::EmbeddedFile& file : embedded_include::kEmbeddedFiles)
       if (file.name == header)
-        return new IncludeResult(std::string(file.name), file.text.data(), file.text.size(), nullptr);
+        return new IncludeResult(std::string(file.name), file.text.data(), file.text.size(),
+                                 nullptr);
     return nullptr;
   }
   void releaseInclude(IncludeResult* result) override { delete result; }
@@ -31,8 +32,10 @@ class EmbeddedIncluder : public glslang::TShader::Includer {
 /// Limits of the compiler's own checks; the device's are checked by the runtime.
 TBuiltInResource resource_limits() {
   TBuiltInResource limits = {};
-  limits.maxComputeWorkGroupCountX = limits.maxComputeWorkGroupCountY = limits.maxComputeWorkGroupCountZ = 65535;
-  limits.maxComputeWorkGroupSizeX = limits.maxComputeWorkGroupSizeY = limits.maxComputeWorkGroupSizeZ = 1024;
+  limits.maxComputeWorkGroupCountX = limits.maxComputeWorkGroupCountY =
+      limits.maxComputeWorkGroupCountZ = 65535;
+  limits.maxComputeWorkGroupSizeX = limits.maxComputeWorkGroupSizeY =
+      limits.maxComputeWorkGroupSizeZ = 1024;
   limits.maxImageUnits = 64;
   limits.maxComputeImageUniforms = 64;
   limits.maxComputeTextureImageUnits = 64;
@@ -58,7 +61,8 @@ std::string first_error(const char* log) {
 
 }  // namespace
 
-Result<Spirv> compile_glsl(std::string_view source, const Defines& defines, const std::string& where) {
+Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
+                           const std::string& where) {
   static const GlslangProcess process;
   std::string preamble = "#extension GL_GOOGLE_include_directive : require\n";
   for (const auto& [name, value] : defines) preamble += "#define " + name + " " + value + "\n";
@@ -69,10 +73,11 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines, cons
   shader.setStringsWithLengthsAndNames(&text, &length, &name, 1);
   shader.setPreamble(preamble.c_str());
   shader.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
-  // SPIR-V 1.6 would state the workgroup by LocalSizeId, which asks the host to enable maintenance4.
+  // SPIR-V 1.6 would state the workgroup by LocalSizeId, which asks the host to enable
+  // maintenance4.
   shader.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_2);
-  // From 1.6 on glslang writes the local size as ids, which a device may run only with the feature maintenance4
-  // enabled; and spirv_needs reads the literal form.
+  // From 1.6 on glslang writes the local size as ids, which a device may run only with the feature
+  // maintenance4 enabled; and spirv_needs reads the literal form.
   shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_5);
   const TBuiltInResource limits = resource_limits();
   const EShMessages messages = static_cast<EShMessages>(EShMsgSpvRules | EShMsgVulkanRules);

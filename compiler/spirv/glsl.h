@@ -13,9 +13,10 @@ namespace shale {
 /// NAME and value of a preprocessor definition.
 using Defines = std::vector<std::pair<std::string, std::string>>;
 
-/// Compiles a compute shader with entry point main for Vulkan 1.2 and above. `#include "x.glsl"` finds the files of
-/// shaders/include. `where` names the shader in messages.
-/// Errors: kBadInput with the first line of glslang's log.
-Result<Spirv> compile_glsl(std::string_view source, const Defines& defines, const std::string& where);
+/// Compiles a compute shader with entry point main for Vulkan 1.2 and above. `#include "x.glsl"`
+/// finds the files of shaders/include. `where` names the shader in messages. Errors: kBadInput with
+/// the first line of glslang's log.
+Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
+                           const std::string& where);
 
 }  // namespace shale

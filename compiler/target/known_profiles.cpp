@@ -1,7 +1,7 @@
-#include "compiler/target/profile.h"
-
 #include <initializer_list>
 #include <vector>
+
+#include "compiler/target/profile.h"
 
 namespace shale {
 namespace {
@@ -20,8 +20,9 @@ const std::vector<DeviceProfile>& profiles() {
                 .driver = "Mesa 22.3",
                 .api_version = (1u << 22) | (3u << 12),
                 .cpu = true,
-                .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8, Feature::kInt16,
-                                      Feature::kInt64, Feature::kDotProduct8}),
+                .features =
+                    features({Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8,
+                              Feature::kInt16, Feature::kInt64, Feature::kDotProduct8}),
                 .max_workgroup_invocations = 1024,
                 .max_workgroup_size = {1024, 1024, 1024},
                 .max_workgroup_count = {65535, 65535, 65535},
@@ -47,8 +48,8 @@ const std::vector<DeviceProfile>& profiles() {
                 .driver = "",
                 .api_version = (1u << 22) | (3u << 12),
                 .cpu = false,
-                .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8, Feature::kInt16,
-                                      Feature::kInt64}),
+                .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16,
+                                      Feature::kInt8, Feature::kInt16, Feature::kInt64}),
                 .max_workgroup_invocations = 128,
                 .max_workgroup_size = {128, 128, 64},
                 .max_workgroup_count = {65535, 65535, 65535},

@@ -13,14 +13,14 @@ struct DeviceProfile {
   std::string_view name;
   std::string_view help;
   DeviceCaps caps;
-  double mul_add_gops = 0;      ///< float32 multiply and add in registers, 2 per MAC
-  double literal_share = 0;     ///< share of mul_add_gops that kernels with literal weights reach
-  double integer_share = 0;     ///< the same for their int32 form
-  double generic_gops = 0;      ///< one invocation per output element, storage buffers, 2 per MAC
-  double element_ns = 0;        ///< cost of one elementwise result of the generic kernel
-  double bandwidth_gbps = 0;    ///< bytes read or written per nanosecond
-  double launch_us = 0;         ///< per dispatch
-  bool literal_weights = false; ///< constants in code are free: true where kernels run on a CPU
+  double mul_add_gops = 0;       ///< float32 multiply and add in registers, 2 per MAC
+  double literal_share = 0;      ///< share of mul_add_gops that kernels with literal weights reach
+  double integer_share = 0;      ///< the same for their int32 form
+  double generic_gops = 0;       ///< one invocation per output element, storage buffers, 2 per MAC
+  double element_ns = 0;         ///< cost of one elementwise result of the generic kernel
+  double bandwidth_gbps = 0;     ///< bytes read or written per nanosecond
+  double launch_us = 0;          ///< per dispatch
+  bool literal_weights = false;  ///< constants in code are free: true where kernels run on a CPU
   std::string_view source;
 };
 

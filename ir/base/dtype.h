@@ -28,10 +28,10 @@ enum class DType : uint32_t {
 
 struct DTypeInfo {
   DType dtype;
-  std::string_view name;     ///< in text form: "i8"
-  std::string_view wire;     ///< in desc.json and messages: "INT8"
-  uint32_t bits;             ///< width of the value
-  uint32_t host_bytes;       ///< bytes of an element in host tensors, npy files and device buffers
+  std::string_view name;  ///< in text form: "i8"
+  std::string_view wire;  ///< in desc.json and messages: "INT8"
+  uint32_t bits;          ///< width of the value
+  uint32_t host_bytes;    ///< bytes of an element in host tensors, npy files and device buffers
 };
 
 inline constexpr std::array<DTypeInfo, 13> kDTypes{{

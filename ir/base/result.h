@@ -1,4 +1,5 @@
-// ir/base/result.h -- how every library here reports what a file, an argument or a device can cause.
+// ir/base/result.h -- how every library here reports what a file, an argument or a device can
+// cause.
 #pragma once
 
 #include <fmt/format.h>
@@ -106,15 +107,14 @@ class [[nodiscard]] Result<void> {
 #define SHALE_CONCAT(a, b) SHALE_CONCAT_INNER(a, b)
 
 /// SHALE_TRY(auto x, expression): returns the error, or defines x from the value.
-#define SHALE_TRY(declaration, ...)                                            \
-  auto SHALE_CONCAT(shale_result_, __LINE__) = (__VA_ARGS__);                  \
-  if (!SHALE_CONCAT(shale_result_, __LINE__))                                  \
-    return std::move(SHALE_CONCAT(shale_result_, __LINE__).error());           \
+#define SHALE_TRY(declaration, ...)                                  \
+  auto SHALE_CONCAT(shale_result_, __LINE__) = (__VA_ARGS__);        \
+  if (!SHALE_CONCAT(shale_result_, __LINE__))                        \
+    return std::move(SHALE_CONCAT(shale_result_, __LINE__).error()); \
   declaration = *std::move(SHALE_CONCAT(shale_result_, __LINE__))
 
 /// SHALE_TRY_VOID(expression): returns the error, if there is one.
-#define SHALE_TRY_VOID(...)                                                    \
-  do {                                                                         \
-    if (auto shale_status = (__VA_ARGS__); !shale_status)                      \
-      return std::move(shale_status.error());                                  \
+#define SHALE_TRY_VOID(...)                                                                       \
+  do {                                                                                            \
+    if (auto shale_status = (__VA_ARGS__); !shale_status) return std::move(shale_status.error()); \
   } while (false)

@@ -18,7 +18,9 @@ constexpr flatbuffers::voffset_t slot(size_t field) {
   return static_cast<flatbuffers::voffset_t>(4 + 2 * field);
 }
 
-std::string text(const flatbuffers::String* string) { return string ? string->str() : std::string(); }
+std::string text(const flatbuffers::String* string) {
+  return string ? string->str() : std::string();
+}
 
 std::span<const uint8_t> bytes_of(const Vector<uint8_t>* vector) {
   if (!vector) return {};
@@ -69,8 +71,10 @@ class Reader {
 
   /// Where a name is declared; a name may be declared once, as a tensor or as a shape.
   Result<void> index_names(const tosa::TosaBasicBlock& block) {
-    const auto add = [this](const std::string& name, const Declaration& declaration) -> Result<void> {
-      const std::string where = fmt::format("{} \"{}\"", declaration.tensor ? "tensor" : "shape", name);
+    const auto add = [this](const std::string& name,
+                            const Declaration& declaration) -> Result<void> {
+      const std::string where =
+          fmt::format("{} \"{}\"", declaration.tensor ? "tensor" : "shape", name);
       if (name.empty()) return bad_input(where, "has no name");
       if (!declared_.emplace(name, declaration).second)
         return bad_input(where, "the name is declared twice");
@@ -123,7 +127,8 @@ class Reader {
     TensorType type{static_cast<DType>(number), {}};
     if (tensor.shape()) {
       if (tensor.shape()->size() > kMaxRank)
-        return bad_input(where, "rank {} is above the level's {}", tensor.shape()->size(), kMaxRank);
+        return bad_input(where, "rank {} is above the level's {}", tensor.shape()->size(),
+                         kMaxRank);
       for (const int32_t dim : *tensor.shape()) {
         if (dim < 1 && dim != kDynamic) return bad_input(where, "dimension {} is below 1", dim);
         type.shape.push_back(dim);
@@ -179,8 +184,8 @@ class Reader {
     return {};
   }
 
-  Result<void> read_attribute(const std::string& where, const flatbuffers::Table& table, size_t field,
-                              Node& node) {
+  Result<void> read_attribute(const std::string& where, const flatbuffers::Table& table,
+                              size_t field, Node& node) {
     const AttrInfo& info = attr_info(op_info(node.op).attrs[field]);
     switch (info.kind) {
       case AttrKind::kInt:
@@ -207,7 +212,8 @@ class Reader {
         const DType dtype = graph_.value(node.inputs[0]).type.dtype;
         const Result<Tensor> element = decode_constant({dtype, {}}, bytes_of(list));
         if (!element) return bad_input(where, "{}: {}", info.name, element.error().message);
-        if (element->bytes.empty()) return bad_input(where, "{}: operand has no element type", info.name);
+        if (element->bytes.empty())
+          return bad_input(where, "{}: operand has no element type", info.name);
         node.attrs.set(info.attr, element->get(0));
         return {};
       }
@@ -248,8 +254,10 @@ class Writer {
     std::vector<Offset<tosa::TosaShape>> shapes;
     std::vector<Offset<tosa::TosaOperator>> operators;
     for (const Value& value : graph_.values) {
-      if (value.type.dtype == DType::kShape) shapes.push_back(shape(value));
-      else tensors.push_back(tensor(value));
+      if (value.type.dtype == DType::kShape)
+        shapes.push_back(shape(value));
+      else
+        tensors.push_back(tensor(value));
       if (value.is_constant()) operators.push_back(constant(value));
     }
     for (const Node& node : graph_.nodes) operators.push_back(operation(node));
@@ -301,8 +309,8 @@ class Writer {
     const auto outputs = builder_.CreateVectorOfStrings({value.name});
     return tosa::CreateTosaOperator(
         builder_, is_shape ? tosa::Op::CONST_SHAPE : tosa::Op::CONST,
-        is_shape ? tosa::Attribute::ConstShapeAttribute : tosa::Attribute::ConstAttribute, attribute,
-        inputs, outputs);
+        is_shape ? tosa::Attribute::ConstShapeAttribute : tosa::Attribute::ConstAttribute,
+        attribute, inputs, outputs);
   }
 
   Offset<tosa::TosaOperator> operation(const Node& node) {
@@ -312,7 +320,8 @@ class Writer {
       const std::span<const int64_t> values = node.attrs.list(info.attrs[field]);
       const AttrKind kind = attr_info(info.attrs[field]).kind;
       if (kind == AttrKind::kIntList) {
-        vectors[field] = builder_.CreateVector(std::vector<int32_t>(values.begin(), values.end())).Union();
+        vectors[field] =
+            builder_.CreateVector(std::vector<int32_t>(values.begin(), values.end())).Union();
       } else if (kind == AttrKind::kElement) {
         const TensorType type{graph_.value(node.inputs[0]).type.dtype, {}};
         vectors[field] = data(encode_constant(Tensor::from_ints(type, values))).Union();
@@ -329,11 +338,8 @@ class Writer {
           builder_.AddElement<uint8_t>(slot(field), value != 0 ? 1 : 0, 0);
           break;
         case AttrKind::kIntList:
-        case AttrKind::kElement:
-          builder_.AddOffset(slot(field), vectors[field]);
-          break;
-        default:
-          builder_.AddElement<uint32_t>(slot(field), static_cast<uint32_t>(value), 0);
+        case AttrKind::kElement: builder_.AddOffset(slot(field), vectors[field]); break;
+        default: builder_.AddElement<uint32_t>(slot(field), static_cast<uint32_t>(value), 0);
       }
     }
     const Offset<void> attribute(builder_.EndTable(start));
@@ -353,15 +359,15 @@ bool is_tosa(std::span<const uint8_t> bytes) {
 }
 
 Result<Graph> read_tosa(std::span<const uint8_t> bytes) {
-  if (bytes.size() < 8) return bad_input("", "found {} bytes, a TOSA file has at least 8", bytes.size());
+  if (bytes.size() < 8)
+    return bad_input("", "found {} bytes, a TOSA file has at least 8", bytes.size());
   if (!is_tosa(bytes))
-    return bad_input("offset 4", "found the file identifier \"{}\", expected \"TOSA\"",
-                     [&] {
-                       std::string shown;
-                       for (size_t i = 4; i < 8; ++i)
-                         shown += bytes[i] >= 32 && bytes[i] < 127 ? static_cast<char>(bytes[i]) : '?';
-                       return shown;
-                     }());
+    return bad_input("offset 4", "found the file identifier \"{}\", expected \"TOSA\"", [&] {
+      std::string shown;
+      for (size_t i = 4; i < 8; ++i)
+        shown += bytes[i] >= 32 && bytes[i] < 127 ? static_cast<char>(bytes[i]) : '?';
+      return shown;
+    }());
   // FlatBuffers measures alignment from the buffer's address.
   const std::vector<uint64_t> aligned = [&] {
     std::vector<uint64_t> copy((bytes.size() + 7) / 8);

@@ -36,8 +36,8 @@ struct Node {
   Attrs attrs;
   std::vector<ValueId> inputs;  ///< operand order of TOSA 1.0, constants and shapes included
   ValueId output;
-  /// Nodes with the same number above 0 become one dispatch; values between them never reach memory.
-  /// An annotation: it does not change what the graph computes.
+  /// Nodes with the same number above 0 become one dispatch; values between them never reach
+  /// memory. An annotation: it does not change what the graph computes.
   uint32_t group = 0;
 };
 

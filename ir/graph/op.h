@@ -1,4 +1,5 @@
-// ir/graph/op.h -- operators and attributes as tables, so that reader, writer, printer and parser loop.
+// ir/graph/op.h -- operators and attributes as tables, so that reader, writer, printer and parser
+// loop.
 #pragma once
 
 #include <cstdint>
@@ -16,8 +17,24 @@ enum class Op : uint8_t {
 };
 
 enum class Attr : uint8_t {
-  kAxis, kNanMode, kKernel, kStride, kPad, kDilation, kLocalBound, kAccType, kOutPad, kMinVal,
-  kMaxVal, kRound, kPerms, kMode, kScale32, kRoundingMode, kPerChannel, kInputUnsigned,
+  kAxis,
+  kNanMode,
+  kKernel,
+  kStride,
+  kPad,
+  kDilation,
+  kLocalBound,
+  kAccType,
+  kOutPad,
+  kMinVal,
+  kMaxVal,
+  kRound,
+  kPerms,
+  kMode,
+  kScale32,
+  kRoundingMode,
+  kPerChannel,
+  kInputUnsigned,
   kOutputUnsigned,
 };
 

@@ -34,9 +34,21 @@ int64_t Tensor::get(int64_t index) const {
   const uint8_t* at = bytes.data() + index * host_bytes();
   switch (host_bytes()) {
     case 1: return static_cast<int8_t>(*at);
-    case 2: { int16_t v; std::memcpy(&v, at, 2); return v; }
-    case 4: { int32_t v; std::memcpy(&v, at, 4); return v; }
-    default: { int64_t v; std::memcpy(&v, at, 8); return v; }
+    case 2: {
+      int16_t v;
+      std::memcpy(&v, at, 2);
+      return v;
+    }
+    case 4: {
+      int32_t v;
+      std::memcpy(&v, at, 4);
+      return v;
+    }
+    default: {
+      int64_t v;
+      std::memcpy(&v, at, 8);
+      return v;
+    }
   }
 }
 
@@ -59,8 +71,9 @@ Result<Tensor> decode_constant(const TensorType& type, std::span<const uint8_t> 
     if (!elements) return bad_input("", "has no valid element count for {}", type_text(type));
     count = *elements;
   }
-  const int64_t wire_bits = type.dtype == DType::kInt4 ? 4 : type.dtype == DType::kInt48 ? 48
-                                                           : 8 * dtype_info(type.dtype).host_bytes;
+  const int64_t wire_bits = type.dtype == DType::kInt4    ? 4
+                            : type.dtype == DType::kInt48 ? 48
+                                                          : 8 * dtype_info(type.dtype).host_bytes;
   const int64_t needed = (count * wire_bits + 7) / 8;
   if (static_cast<int64_t>(wire.size()) < needed)
     return bad_input("", "data has {} bytes, {} needs {}", wire.size(), type_text(type), needed);
@@ -77,10 +90,11 @@ Result<Tensor> decode_constant(const TensorType& type, std::span<const uint8_t> 
       std::memcpy(&value, wire.data() + i * 6, 6);
       tensor.set(i, static_cast<int64_t>(static_cast<uint64_t>(value) << 16) >> 16);
     } else {
-      std::memcpy(tensor.bytes.data() + i * tensor.host_bytes(), wire.data() + i * tensor.host_bytes(),
-                  static_cast<size_t>(tensor.host_bytes()));
+      std::memcpy(tensor.bytes.data() + i * tensor.host_bytes(),
+                  wire.data() + i * tensor.host_bytes(), static_cast<size_t>(tensor.host_bytes()));
       if (type.dtype == DType::kBool && tensor.bytes[static_cast<size_t>(i)] > 1)
-        return bad_input("", "element {} is {}, BOOL is 0 or 1", i, tensor.bytes[static_cast<size_t>(i)]);
+        return bad_input("", "element {} is {}, BOOL is 0 or 1", i,
+                         tensor.bytes[static_cast<size_t>(i)]);
     }
   }
   return tensor;

@@ -60,16 +60,20 @@ struct Tensor {
   std::vector<int64_t> ints() const;
 
   template <typename T>
-  const T* data() const { return reinterpret_cast<const T*>(bytes.data()); }
+  const T* data() const {
+    return reinterpret_cast<const T*>(bytes.data());
+  }
   template <typename T>
-  T* data() { return reinterpret_cast<T*>(bytes.data()); }
+  T* data() {
+    return reinterpret_cast<T*>(bytes.data());
+  }
 
   bool operator==(const Tensor&) const = default;
 };
 
 /// TOSA's encoding of constants: INT4 two an octet, INT48 six bytes, the rest as in Tensor.
-/// Errors: kBadInput if `wire` is shorter than the type needs, or holds an INT4 of -8 or a BOOL that
-/// is neither 0 nor 1. Bytes beyond the need are ignored.
+/// Errors: kBadInput if `wire` is shorter than the type needs, or holds an INT4 of -8 or a BOOL
+/// that is neither 0 nor 1. Bytes beyond the need are ignored.
 Result<Tensor> decode_constant(const TensorType& type, std::span<const uint8_t> wire);
 std::vector<uint8_t> encode_constant(const Tensor& tensor);
 

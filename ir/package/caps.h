@@ -9,13 +9,13 @@ namespace shale {
 
 /// A bit per optional device feature that a kernel may use. The numbers are stored in packages.
 enum class Feature : uint32_t {
-  kStorageBuffer8 = 0,   ///< 8-bit values in storage buffers
-  kStorageBuffer16 = 1,  ///< 16-bit values in storage buffers
-  kInt8 = 2,             ///< shaderInt8
-  kInt16 = 3,            ///< shaderInt16
-  kInt64 = 4,            ///< shaderInt64
-  kFloat16 = 5,          ///< shaderFloat16
-  kDotProduct8 = 6,      ///< shaderIntegerDotProduct
+  kStorageBuffer8 = 0,     ///< 8-bit values in storage buffers
+  kStorageBuffer16 = 1,    ///< 16-bit values in storage buffers
+  kInt8 = 2,               ///< shaderInt8
+  kInt16 = 3,              ///< shaderInt16
+  kInt64 = 4,              ///< shaderInt64
+  kFloat16 = 5,            ///< shaderFloat16
+  kDotProduct8 = 6,        ///< shaderIntegerDotProduct
   kCooperativeMatrix = 7,  ///< never reported by runtime/vk: Vulkan headers 1.3.239 do not know it
 };
 inline constexpr uint32_t kFeatureCount = 8;
@@ -32,10 +32,10 @@ struct FeatureSet {
 
 /// Snapshot of a device, taken by runtime/vk or written down in compiler/target; no handles.
 struct DeviceCaps {
-  std::string name;           ///< VkPhysicalDeviceProperties::deviceName
-  std::string driver;         ///< driver name and version, for humans
-  uint32_t api_version = 0;   ///< VK_MAKE_API_VERSION form
-  bool cpu = false;           ///< VK_PHYSICAL_DEVICE_TYPE_CPU
+  std::string name;          ///< VkPhysicalDeviceProperties::deviceName
+  std::string driver;        ///< driver name and version, for humans
+  uint32_t api_version = 0;  ///< VK_MAKE_API_VERSION form
+  bool cpu = false;          ///< VK_PHYSICAL_DEVICE_TYPE_CPU
   FeatureSet features;
   uint32_t max_workgroup_invocations = 0;
   uint32_t max_workgroup_size[3] = {0, 0, 0};

@@ -37,14 +37,14 @@ inline constexpr uint32_t kMaxBindings = 64;  ///< binding numbers of a dispatch
 
 /// How a resource comes into being and who owns its memory.
 enum class Category : uint8_t {
-  kInput = 0,         ///< tensor bound by the caller (by the frame loop when a pass writes it)
-  kOutput = 1,        ///< tensor bound by the caller (by the frame loop when a pass reads it)
-  kIntermediate = 2,  ///< tensor in the arena
-  kWeights = 3,       ///< tensor in the weight blob
-  kImageInput = 4,    ///< image given by the host each frame
-  kImageOutput = 5,   ///< image given by the host each frame
-  kImageInternal = 6, ///< image of the frame loop, lives within a frame
-  kImageHistory = 7,  ///< ring of images of the frame loop, `history_depth` long
+  kInput = 0,          ///< tensor bound by the caller (by the frame loop when a pass writes it)
+  kOutput = 1,         ///< tensor bound by the caller (by the frame loop when a pass reads it)
+  kIntermediate = 2,   ///< tensor in the arena
+  kWeights = 3,        ///< tensor in the weight blob
+  kImageInput = 4,     ///< image given by the host each frame
+  kImageOutput = 5,    ///< image given by the host each frame
+  kImageInternal = 6,  ///< image of the frame loop, lives within a frame
+  kImageHistory = 7,   ///< ring of images of the frame loop, `history_depth` long
 };
 inline constexpr uint32_t kCategoryCount = 8;
 
@@ -60,8 +60,8 @@ enum class ImageFormat : uint8_t {
   kR32Uint = 6,
   kRgba32Float = 7,
   kR16Float = 8,
-  kRgba8Sint = 9,   ///< texel buffers of int8 tensors, four channels a texel
-  kR8Sint = 10,     ///< texel buffers of int8 tensors, one channel a texel
+  kRgba8Sint = 9,  ///< texel buffers of int8 tensors, four channels a texel
+  kR8Sint = 10,    ///< texel buffers of int8 tensors, one channel a texel
 };
 inline constexpr uint32_t kImageFormatCount = 11;
 
@@ -87,8 +87,8 @@ struct Resource {
   Category category = Category::kIntermediate;
   // Tensors:
   DType dtype = DType::kUnknown;
-  std::vector<int64_t> shape;                 ///< NHWC for activations; row-major, dense
-  std::optional<Quantization> quantization;   ///< known only where frame.json states it
+  std::vector<int64_t> shape;                ///< NHWC for activations; row-major, dense
+  std::optional<Quantization> quantization;  ///< known only where frame.json states it
   uint64_t offset_bytes = 0;  ///< in the arena (kIntermediate) or the weight blob (kWeights)
   uint64_t size_bytes = 0;    ///< of a tensor
   // Images:
@@ -128,7 +128,7 @@ struct Binding {
 /// Predicted by compiler/cost; times in microseconds.
 struct Cost {
   uint64_t macs = 0;
-  uint64_t ops = 0;            ///< integer operations that are no MAC
+  uint64_t ops = 0;  ///< integer operations that are no MAC
   uint64_t bytes_read = 0;
   uint64_t bytes_written = 0;
   double time_us = 0;
@@ -157,9 +157,9 @@ struct Segment {
 
 /// Static bounds of a convolution's accumulators, from the actual weights; per output channel.
 struct RangeProof {
-  std::string name;             ///< the convolution's result value
-  std::vector<int64_t> min, max;  ///< of the final accumulator, bias included
-  std::vector<int64_t> magnitude; ///< of any partial sum in any order, bias left out
+  std::string name;                ///< the convolution's result value
+  std::vector<int64_t> min, max;   ///< of the final accumulator, bias included
+  std::vector<int64_t> magnitude;  ///< of any partial sum in any order, bias left out
   bool operator==(const RangeProof&) const = default;
 };
 
@@ -181,8 +181,8 @@ struct Variant {
 struct Provenance {
   uint64_t model_hash = 0;  ///< stable_hash of the model file
   std::string model_name;
-  std::string compiler;     ///< "shale 0.1.0"
-  std::string options;      ///< canonical text of the options that shape the result
+  std::string compiler;  ///< "shale 0.1.0"
+  std::string options;   ///< canonical text of the options that shape the result
   bool operator==(const Provenance&) const = default;
 };
 

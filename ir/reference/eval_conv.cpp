@@ -173,8 +173,8 @@ Result<Tensor> eval_conv(const Eval& node) {
     }
     return {};
   };
-  SHALE_TRY_VOID(parallel_for(result.count() / conv.out_channels, conv.out_channels * conv.row(),
-                              compute));
+  SHALE_TRY_VOID(
+      parallel_for(result.count() / conv.out_channels, conv.out_channels * conv.row(), compute));
   return result;
 }
 

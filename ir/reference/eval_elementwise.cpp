@@ -86,9 +86,7 @@ Element negate(int64_t a, const Params& p) {
   return p.from == DType::kInt32 ? checked(value) : std::clamp(value, range.min, range.max);
 }
 
-Element clamp(int64_t a, const Params& p) {
-  return std::clamp(a, p.limits.min, p.limits.max);
-}
+Element clamp(int64_t a, const Params& p) { return std::clamp(a, p.limits.min, p.limits.max); }
 
 Element look_up(int64_t a, const Params& p) {
   if (p.from == DType::kInt8) return p.table->get(a + 128);
@@ -147,8 +145,8 @@ Result<Tensor> eval_unary(const Eval& node) {
   const UnaryRow& row = row_for<UnaryRow>(node.op(), kUnary);
   const Tensor& input = node.in(0);
   Tensor result = Tensor::zeros(node.result_type());
-  SHALE_TRY_VOID(parallel_for(
-      result.count(), kElementCost, [&](int64_t begin, int64_t end) -> Result<void> {
+  SHALE_TRY_VOID(
+      parallel_for(result.count(), kElementCost, [&](int64_t begin, int64_t end) -> Result<void> {
         for (int64_t i = begin; i < end; ++i) {
           const Element value = row.compute(input.get(i), p);
           if (!value) return node.unpredictable(i, "no result for {}", input.get(i));

@@ -40,8 +40,8 @@ struct Span {
 
 /// The part of a pool's window that lies inside the input.
 Span window(const Eval& node, size_t axis, int64_t out) {
-  const int64_t begin = out * node.attrs().list(Attr::kStride)[axis] -
-                        node.attrs().list(Attr::kPad)[2 * axis];
+  const int64_t begin =
+      out * node.attrs().list(Attr::kStride)[axis] - node.attrs().list(Attr::kPad)[2 * axis];
   return {std::max<int64_t>(begin, 0),
           std::min(begin + node.attrs().list(Attr::kKernel)[axis], node.shape(0)[axis + 1])};
 }

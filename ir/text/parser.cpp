@@ -29,10 +29,14 @@ class Parser {
         continue;
       }
       const std::string_view word = plain();
-      if (word == "input") SHALE_TRY_VOID(input());
-      else if (word == "const") SHALE_TRY_VOID(constant());
-      else if (word == "return") break;
-      else return fail("expected 'input', 'const', a node or 'return'");
+      if (word == "input")
+        SHALE_TRY_VOID(input());
+      else if (word == "const")
+        SHALE_TRY_VOID(constant());
+      else if (word == "return")
+        break;
+      else
+        return fail("expected 'input', 'const', a node or 'return'");
     }
     do {
       SHALE_TRY(const ValueId id, use());
@@ -48,10 +52,13 @@ class Parser {
   Error fail(std::string_view message) const {
     size_t line = 1, column = 1;
     for (size_t i = 0; i < at_ && i < text_.size(); ++i) {
-      if (text_[i] == '\n') ++line, column = 1;
-      else ++column;
+      if (text_[i] == '\n')
+        ++line, column = 1;
+      else
+        ++column;
     }
-    return {ErrorCode::kBadInput, std::string(message), fmt::format("line {}, column {}", line, column)};
+    return {ErrorCode::kBadInput, std::string(message),
+            fmt::format("line {}, column {}", line, column)};
   }
 
   char peek() const { return at_ < text_.size() ? text_[at_] : '\0'; }
@@ -130,7 +137,8 @@ class Parser {
   Result<int64_t> integer() {
     skip_space();
     int64_t value = 0;
-    const auto [end, error] = std::from_chars(text_.data() + at_, text_.data() + text_.size(), value);
+    const auto [end, error] =
+        std::from_chars(text_.data() + at_, text_.data() + text_.size(), value);
     if (error != std::errc()) return fail("expected an integer of 64 bits");
     at_ = static_cast<size_t>(end - text_.data());
     return value;
@@ -158,7 +166,8 @@ class Parser {
     SHALE_TRY_VOID(expect(':'));
     const std::string_view name = plain();
     const std::optional<DType> dtype = dtype_from_name(name);
-    if (!dtype || *dtype == DType::kUnknown) return fail(fmt::format("'{}' is no element type", name));
+    if (!dtype || *dtype == DType::kUnknown)
+      return fail(fmt::format("'{}' is no element type", name));
     if (*dtype == DType::kShape) {
       SHALE_TRY(std::vector<int64_t> length, list(false));
       if (length.size() != 1 || length[0] < 0 || length[0] > 2 * kMaxRank)
@@ -181,7 +190,8 @@ class Parser {
 
   Result<ValueId> define(std::string wanted, TensorType value_type) {
     const ValueId id{static_cast<uint32_t>(graph_.values.size())};
-    if (!names_.emplace(wanted, id).second) return fail(fmt::format("%{} is defined twice", wanted));
+    if (!names_.emplace(wanted, id).second)
+      return fail(fmt::format("%{} is defined twice", wanted));
     graph_.values.push_back({std::move(wanted), std::move(value_type), std::nullopt});
     return id;
   }
@@ -218,7 +228,8 @@ class Parser {
     if (peek() == '[') {
       SHALE_TRY(const std::vector<int64_t> values, list(false));
       if (static_cast<int64_t>(values.size()) != *count)
-        return fail(fmt::format("found {} elements, {} has {}", values.size(), type_text(value_type), *count));
+        return fail(fmt::format("found {} elements, {} has {}", values.size(),
+                                type_text(value_type), *count));
       if (is_integer(value_type.dtype) || value_type.dtype == DType::kBool) {
         const IntRange range = dtype_range(value_type.dtype);
         for (const int64_t value : values)
@@ -230,7 +241,8 @@ class Parser {
       SHALE_TRY_VOID(expect_word("hex"));
       SHALE_TRY_VOID(expect('"'));
       const size_t bytes = static_cast<size_t>(*count) * dtype_info(value_type.dtype).host_bytes;
-      if (text_.size() - at_ < 2 * bytes) return fail(fmt::format("expected {} bytes of hex", bytes));
+      if (text_.size() - at_ < 2 * bytes)
+        return fail(fmt::format("expected {} bytes of hex", bytes));
       tensor.bytes.resize(bytes);
       for (uint8_t& byte : tensor.bytes) {
         if (!hex_byte(at_, byte)) return fail("expected two hexadecimal digits");
@@ -256,8 +268,8 @@ class Parser {
       result.inputs.push_back(id);
     } while (accept(','));
     if (result.inputs.size() < info.min_operands || result.inputs.size() > info.max_operands)
-      return fail(fmt::format("{} has {} operands, expected {} to {}", info.name, result.inputs.size(),
-                              info.min_operands, info.max_operands));
+      return fail(fmt::format("{} has {} operands, expected {} to {}", info.name,
+                              result.inputs.size(), info.min_operands, info.max_operands));
     for (const Attr attr : info.attrs)
       result.attrs.set(attr, attr_info(attr).kind == AttrKind::kIntList ? std::vector<int64_t>{}
                                                                         : std::vector<int64_t>{0});
@@ -300,10 +312,14 @@ class Parser {
     const std::span<const std::string_view> names = attr_value_names(kind);
     const auto named = std::find(names.begin(), names.end(), word);
     const std::optional<DType> dtype = dtype_from_name(word);
-    if (kind == AttrKind::kBool && (word == "true" || word == "false")) attrs.set(*attr, word == "true");
-    else if (kind == AttrKind::kDType && dtype) attrs.set(*attr, static_cast<int64_t>(*dtype));
-    else if (named != names.end()) attrs.set(*attr, named - names.begin());
-    else return fail(fmt::format("'{}' is no value of {}", word, attr_name));
+    if (kind == AttrKind::kBool && (word == "true" || word == "false"))
+      attrs.set(*attr, word == "true");
+    else if (kind == AttrKind::kDType && dtype)
+      attrs.set(*attr, static_cast<int64_t>(*dtype));
+    else if (named != names.end())
+      attrs.set(*attr, named - names.begin());
+    else
+      return fail(fmt::format("'{}' is no value of {}", word, attr_name));
     return {};
   }
 

@@ -16,9 +16,12 @@ std::string quoted(const std::string& name) {
   std::string text = "\"";
   for (const char c : name) {
     const auto byte = static_cast<unsigned char>(c);
-    if (c == '"' || c == '\\') text += {'\\', c};
-    else if (byte < 32 || byte == 127) text += fmt::format("\\x{:02x}", byte);
-    else text += c;
+    if (c == '"' || c == '\\')
+      text += {'\\', c};
+    else if (byte < 32 || byte == 127)
+      text += fmt::format("\\x{:02x}", byte);
+    else
+      text += c;
   }
   return text + "\"";
 }
@@ -62,7 +65,8 @@ std::string constant(const Tensor& tensor) {
 }  // namespace
 
 std::string print_text(const Graph& graph) {
-  std::string text = fmt::format("graph {} {{\n", is_plain(graph.name) ? graph.name : quoted(graph.name));
+  std::string text =
+      fmt::format("graph {} {{\n", is_plain(graph.name) ? graph.name : quoted(graph.name));
   for (const ValueId id : graph.inputs)
     text += fmt::format("  input {} : {}\n", reference(graph, id), type_text(graph.value(id).type));
   for (uint32_t i = 0; i < graph.values.size(); ++i) {
@@ -78,7 +82,8 @@ std::string print_text(const Graph& graph) {
     std::string attributes;
     for (const Attr attr : info.attrs)
       if (node.attrs.has(attr))
-        attributes += (attributes.empty() ? "" : ", ") + attribute(attr_info(attr), node.attrs.list(attr));
+        attributes +=
+            (attributes.empty() ? "" : ", ") + attribute(attr_info(attr), node.attrs.list(attr));
     if (!attributes.empty()) text += " {" + attributes + "}";
     text += " : " + type_text(graph.value(node.output).type);
     if (node.group != 0) text += fmt::format(" @{}", node.group);

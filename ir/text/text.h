@@ -1,16 +1,17 @@
-// ir/text/text.h -- the text form of a graph (.tir): what people read, tests compare and tools accept.
+// ir/text/text.h -- the text form of a graph (.tir): what people read, tests compare and tools
+// accept.
 //
 //   graph main {
 //     input %input : i8[1,64,64,3]
 //     const %w : i8[16,5,5,3] = hex "00ff..."       host bytes, or a list: [1,-2,3]
 //     const %size : shape[2] = [2,2]
-//     %acc = conv2d %input, %w, %b, %zp, %wzp {pad=[2,2,2,2], stride=[1,1], ...} : i32[1,64,64,16] @1
-//     return %acc
+//     %acc = conv2d %input, %w, %b, %zp, %wzp {pad=[2,2,2,2], stride=[1,1], ...} : i32[1,64,64,16]
+//     @1 return %acc
 //   }
 //
-// '#' starts a comment. A name of other characters than [A-Za-z0-9_.$/-] is quoted: %"a b". '?' is an
-// open dimension. '@n' puts a node into group n. Attributes that an operator has and a line leaves out
-// read as 0 or empty.
+// '#' starts a comment. A name of other characters than [A-Za-z0-9_.$/-] is quoted: %"a b". '?' is
+// an open dimension. '@n' puts a node into group n. Attributes that an operator has and a line
+// leaves out read as 0 or empty.
 #pragma once
 
 #include <string>

@@ -28,8 +28,8 @@ using RuleFunction = Result<TensorType> (*)(const RuleContext& node);
 struct OpRule {
   Op op;
   RuleFunction rule;
-  DTypeSet types;      ///< of operand 0
-  size_t min_rank;     ///< of operand 0
+  DTypeSet types;   ///< of operand 0
+  size_t min_rank;  ///< of operand 0
   size_t max_rank;
   /// Operand names for messages, a leading * marks those that must be constant; the last one stands
   /// for all that follow.

@@ -66,9 +66,8 @@ Result<TensorType> rule_conv(const RuleContext& node) {
     if (dilation[i] * kernel > kMaxKernel)
       return node.beyond("dilation {} times kernel size {} is above {}, the limit of level 8K",
                          dilation[i], kernel, kMaxKernel);
-    SHALE_TRY(const int64_t size,
-              node.window_count(i + 1, input[i + 1], pad[2 * i], pad[2 * i + 1],
-                                (kernel - 1) * dilation[i] + 1, stride[i]));
+    SHALE_TRY(const int64_t size, node.window_count(i + 1, input[i + 1], pad[2 * i], pad[2 * i + 1],
+                                                    (kernel - 1) * dilation[i] + 1, stride[i]));
     result.push_back(size);
   }
   result.push_back(out_channels);

@@ -24,9 +24,8 @@ Result<TensorType> rule_pool(const RuleContext& node) {
     if (std::max(pad[2 * i], pad[2 * i + 1]) >= kernel[i])
       return node.bad("pad {} and {} on axis {}, expected below the kernel size {}", pad[2 * i],
                       pad[2 * i + 1], i + 1, kernel[i]);
-    SHALE_TRY(const int64_t size,
-              node.window_count(i + 1, input[i + 1], pad[2 * i], pad[2 * i + 1], kernel[i],
-                                stride[i]));
+    SHALE_TRY(const int64_t size, node.window_count(i + 1, input[i + 1], pad[2 * i], pad[2 * i + 1],
+                                                    kernel[i], stride[i]));
     result.push_back(size);
   }
   result.push_back(input[3]);

@@ -1,4 +1,5 @@
-// ir/verify/verify.h -- the rules of TOSA 1.0: which graphs are legal, and which type a node's result has.
+// ir/verify/verify.h -- the rules of TOSA 1.0: which graphs are legal, and which type a node's
+// result has.
 #pragma once
 
 #include "ir/graph/graph.h"
@@ -11,17 +12,17 @@ inline constexpr int64_t kMaxGraphBytes = int64_t{1} << 36;
 
 /// Checks operands, attributes, zero points and level limits (8K) of one node by the rule of its
 /// operator, and returns the type that its result must have. Operand shapes must be known (no
-/// kDynamic). Constant operands whose value TOSA leaves unpredictable (a negative multiplier, a shift
-/// outside its range, a gather index outside the values) are refused too.
-/// Ids must be in range, and so must elements of BOOL, INT4 and INT48 constants; verify checks both.
-/// Errors: kBadInput or kUnsupported with the node's label in `where`.
-/// Source: TOSA 1.0, chapter 2; levels, section 1.7.
+/// kDynamic). Constant operands whose value TOSA leaves unpredictable (a negative multiplier, a
+/// shift outside its range, a gather index outside the values) are refused too. Ids must be in
+/// range, and so must elements of BOOL, INT4 and INT48 constants; verify checks both. Errors:
+/// kBadInput or kUnsupported with the node's label in `where`. Source: TOSA 1.0, chapter 2; levels,
+/// section 1.7.
 Result<TensorType> infer_result(const Graph& graph, NodeId id);
 
-/// Checks the whole graph: names unique and not empty, ids in range, producers before consumers, one
-/// producer a value, constants complete and in range, inputs not constant, every node by its rule,
-/// declared result types equal to the inferred ones. A graph with open dimensions is refused, naming
-/// the first input that needs a shape.
+/// Checks the whole graph: names unique and not empty, ids in range, producers before consumers,
+/// one producer a value, constants complete and in range, inputs not constant, every node by its
+/// rule, declared result types equal to the inferred ones. A graph with open dimensions is refused,
+/// naming the first input that needs a shape.
 Result<void> verify(const Graph& graph);
 
 }  // namespace shale

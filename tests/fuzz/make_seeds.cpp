@@ -29,15 +29,16 @@ Package small_package() {
     resource.size_bytes = category == Category::kWeights ? 4 : 16;
     return resource;
   };
-  variant.resources = {tensor("x", Category::kInput), tensor("y", Category::kOutput), tensor("w", Category::kWeights),
-                       tensor("t", Category::kIntermediate)};
+  variant.resources = {tensor("x", Category::kInput), tensor("y", Category::kOutput),
+                       tensor("w", Category::kWeights), tensor("t", Category::kIntermediate)};
   variant.resources[0].quantization = Quantization{0.5f, 3};
   variant.modules = {{0x07230203, 0x00010600, 0, 8, 0}};
   Dispatch dispatch;
   dispatch.name = "y";
   dispatch.kernel = "generic";
   for (uint32_t i = 0; i < 3; ++i)
-    dispatch.bindings.push_back({i, BindingType::kStorageBuffer, i == 1 ? 1u : i, ImageFormat::kNone, i != 1, i == 1, 0});
+    dispatch.bindings.push_back(
+        {i, BindingType::kStorageBuffer, i == 1 ? 1u : i, ImageFormat::kNone, i != 1, i == 1, 0});
   variant.segments = {{"graph", SegmentKind::kGraph, {dispatch}}};
   variant.proofs = {{"y", {-1, -2}, {1, 2}, {5, 6}}};
   package.variants = {variant};
@@ -50,17 +51,21 @@ Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
   for (const char* target : {"tosa_fuzz", "tir_fuzz", "package_fuzz", "pipeline_cache_fuzz"})
     fs::create_directories(fs::path(folder) / target, error);
   if (error) return io_error(folder, "cannot create: {}", error.message());
-  const auto path = [&](const char* target, const std::string& name) { return (fs::path(folder) / target / name).string(); };
+  const auto path = [&](const char* target, const std::string& name) {
+    return (fs::path(folder) / target / name).string();
+  };
   for (size_t i = 0; i < models.size(); ++i) {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(models[i]));
     SHALE_TRY_VOID(write_file(path("tosa_fuzz", fmt::format("{}", i)), bytes));
     const Result<Graph> graph = read_tosa(bytes);
-    if (graph) SHALE_TRY_VOID(write_text(path("tir_fuzz", fmt::format("{}", i)), print_text(*graph)));
+    if (graph)
+      SHALE_TRY_VOID(write_text(path("tir_fuzz", fmt::format("{}", i)), print_text(*graph)));
   }
   SHALE_TRY_VOID(write_file(path("package_fuzz", "small"), write_package(small_package())));
   vk::CacheIdentity identity;
   identity.vendor_id = 0x10005;
-  return write_file(path("pipeline_cache_fuzz", "small"), vk::write_cache_blob(std::vector<uint8_t>(64, 1), identity));
+  return write_file(path("pipeline_cache_fuzz", "small"),
+                    vk::write_cache_blob(std::vector<uint8_t>(64, 1), identity));
 }
 
 }  // namespace
@@ -71,7 +76,8 @@ int main(int argc, char** argv) {
     fmt::print(stderr, "usage: make_seeds FOLDER FILE.tosa...\n");
     return 2;
   }
-  const shale::Result<void> result = shale::make_seeds(argv[1], {argv + 2, static_cast<size_t>(argc - 2)});
+  const shale::Result<void> result =
+      shale::make_seeds(argv[1], {argv + 2, static_cast<size_t>(argc - 2)});
   if (!result) fmt::print(stderr, "error: {}\n", result.error().text());
   return result ? 0 : 1;
 }

@@ -1,4 +1,5 @@
-// .tosa files of any content: refused with an error, or a graph that survives print, parse, write and read.
+// .tosa files of any content: refused with an error, or a graph that survives print, parse, write
+// and read.
 #include <cstdlib>
 
 #include "ir/binary/tosa.h"

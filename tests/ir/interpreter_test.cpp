@@ -25,14 +25,14 @@ TEST(Arith, AppliesScale32) {
   };
   constexpr auto none = std::nullopt;
   const Row rows[] = {
-      {3, int64_t{1} << 30, 31, false, 2},   // 1.5: ties toward plus infinity
+      {3, int64_t{1} << 30, 31, false, 2},  // 1.5: ties toward plus infinity
       {-3, int64_t{1} << 30, 31, false, -1},
-      {3, int64_t{1} << 30, 31, true, 2},    // both modes agree up to shift 31
+      {3, int64_t{1} << 30, 31, true, 2},  // both modes agree up to shift 31
       {-3, int64_t{1} << 30, 31, true, -1},
-      {6, int64_t{1} << 30, 32, true, 2},    // 1.5 and a bit
+      {6, int64_t{1} << 30, 32, true, 2},  // 1.5 and a bit
       {-6, int64_t{1} << 30, 32, true, -2},
       {-6, int64_t{1} << 30, 32, false, -1},
-      {1, 1, 2, false, 0},                   // shift 2 takes -2..1
+      {1, 1, 2, false, 0},  // shift 2 takes -2..1
       {-2, 2, 2, false, -1},
       {2, 1, 2, false, none},
       {-3, 1, 2, false, none},
@@ -44,7 +44,7 @@ TEST(Arith, AppliesScale32) {
       {kMin32, kMax32, 62, true, -1},
       {kMin32, kMax32, 32, false, -1073741823},
       {kMax32, 1, 32, false, 0},
-      {kMax32, 1, 31, false, none},          // value is 2^30 at most for shift 31
+      {kMax32, 1, 31, false, none},  // value is 2^30 at most for shift 31
       {kMax32 + 1, 1, 40, false, none},
       {(int64_t{1} << 30) - 1, kMax32, 31, false, (int64_t{1} << 30) - 1},
       {100, kMax32, 8, false, 838860800},
@@ -189,20 +189,29 @@ TEST(Interpreter, ComputesElementwiseBinaryOperators) {
 
 TEST(Interpreter, BroadcastsElementwiseOperands) {
   expect({
-      {{"", Op::kSub, {},
+      {{"",
+        Op::kSub,
+        {},
         {constant(kI32, {2, 1, 2}, {1, 2, 3, 4}), constant(kI32, {1, 3, 1}, {10, 20, 30})},
         {kI32, {2, 3, 2}}},
-       {-9, -8, -19, -18, -29, -28, -7, -6, -17, -16, -27, -26}, ""},
+       {-9, -8, -19, -18, -29, -28, -7, -6, -17, -16, -27, -26},
+       ""},
       {{"", Op::kAdd, {}, {constant(kI32, {}, {2}), constant(kI32, {}, {3})}, {kI32, {}}}, {5}, ""},
-      {{"", Op::kSelect, {},
+      {{"",
+        Op::kSelect,
+        {},
         {constant(kBool, {2, 1}, {1, 0}), constant(kI8, {1, 3}, {1, 2, 3}),
          constant(kI8, {1, 1}, {-9})},
         {kI8, {2, 3}}},
-       {1, 2, 3, -9, -9, -9}, ""},
-      {{"in three dimensions", Op::kAdd, {},
+       {1, 2, 3, -9, -9, -9},
+       ""},
+      {{"in three dimensions",
+        Op::kAdd,
+        {},
         {constant(kI32, {2, 1, 1}, {0, kMax32}), constant(kI32, {1, 2, 2}, {0, 0, 0, 1})},
         {kI32, {2, 2, 2}}},
-       {}, "element 7 [1,1,1]"},
+       {},
+       "element 7 [1,1,1]"},
   });
 }
 
@@ -294,11 +303,14 @@ TEST(Interpreter, ComputesConvolutions) {
   const auto conv = [&](std::string name, Attrs attrs, Operand weight, Operand bias, int64_t in_zp,
                         int64_t weight_zp, Shape result, Ints expected) {
     const DType weight_type = weight.type.dtype;
-    return EvalCase{{std::move(name), Op::kConv2d, std::move(attrs),
+    return EvalCase{{std::move(name),
+                     Op::kConv2d,
+                     std::move(attrs),
                      {image, std::move(weight), std::move(bias), constant(kI8, {in_zp}),
                       constant(weight_type, {weight_zp})},
                      {kI32, std::move(result)}},
-                    std::move(expected), ""};
+                    std::move(expected),
+                    ""};
   };
   const Attrs valid = conv_attrs({0, 0, 0, 0}, {1, 1}, {1, 1});
   const Operand corner = constant(kI8, {1, 2, 2, 1}, {1, 10, 100, -1});
@@ -308,41 +320,54 @@ TEST(Interpreter, ComputesConvolutions) {
       conv("bias", valid, corner, constant(kI32, {-416}), 0, 0, {1, 2, 2, 1}, {0, 110, 330, 440}),
       conv("int4 weights", valid, corner4, kZero32, 0, 0, {1, 2, 2, 1}, {-18, -18, -18, -18}),
       // Padding reads the zero point: every tap outside contributes 0 whatever the weights' is.
-      conv("padding", conv_attrs({1, 0, 1, 0}, {2, 2}, {1, 1}), corner, kZero32, 1, 1,
-           {1, 2, 2, 1}, {0, 1 * 99 - 2 * 2, 3 * 9 - 6 * 2, 5 * 9 + 7 * 99 - 8 * 2}),
+      conv("padding", conv_attrs({1, 0, 1, 0}, {2, 2}, {1, 1}), corner, kZero32, 1, 1, {1, 2, 2, 1},
+           {0, 1 * 99 - 2 * 2, 3 * 9 - 6 * 2, 5 * 9 + 7 * 99 - 8 * 2}),
       conv("dilation", conv_attrs({0, 0, 0, 0}, {1, 1}, {2, 2}), corner, kZero32, 0, 0,
            {1, 1, 1, 1}, {1 + 30 + 700 - 9}),
       conv("two channels out", conv_attrs({0, 0, 0, 0}, {2, 2}, {1, 1}),
            constant(kI8, {2, 1, 1, 1}, {1, -1}), constant(kI32, {100, 200}), 0, 0, {1, 2, 2, 2},
            {101, 199, 103, 197, 107, 193, 109, 191}),
-      {{"", Op::kDepthwiseConv2d, valid,
-        {constant(kI8, {1, 2, 1, 2}, {1, 2, 3, 4}), constant(kI8, {2, 1, 2, 2},
-                                                             {1, 10, 100, -1, 2, 20, 3, -2}),
-         constant(kI32, {0, 0, 0, 1}), kZero8, kZero8},
+      {{"",
+        Op::kDepthwiseConv2d,
+        valid,
+        {constant(kI8, {1, 2, 1, 2}, {1, 2, 3, 4}),
+         constant(kI8, {2, 1, 2, 2}, {1, 10, 100, -1, 2, 20, 3, -2}), constant(kI32, {0, 0, 0, 1}),
+         kZero8, kZero8},
         {kI32, {1, 1, 1, 4}}},
-       {7, 70, 212, -9}, ""},
-      {{"", Op::kConv3d, conv_attrs({1, 0, 0, 0, 0, 0}, {1, 1, 1}, {1, 1, 1}),
+       {7, 70, 212, -9},
+       ""},
+      {{"",
+        Op::kConv3d,
+        conv_attrs({1, 0, 0, 0, 0, 0}, {1, 1, 1}, {1, 1, 1}),
         {constant(kI8, {1, 2, 1, 1, 2}, {1, 2, 3, 4}), constant(kI8, {1, 2, 1, 1, 2}, {1, 2, 3, 4}),
          kZero32, kZero8, kZero8},
         {kI32, {1, 2, 1, 1, 1}}},
-       {11, 5 + 25}, ""},
-      {{"", Op::kTransposeConv2d, transpose_conv_attrs({0, 0, -1, 1}, {1, 2}),
+       {11, 5 + 25},
+       ""},
+      {{"",
+        Op::kTransposeConv2d,
+        transpose_conv_attrs({0, 0, -1, 1}, {1, 2}),
         {constant(kI8, {1, 1, 2, 1}, {1, 2}), constant(kI8, {1, 1, 3, 1}, {10, 20, 30}),
          constant(kI32, {5}), kZero8, kZero8},
         {kI32, {1, 1, 5, 1}}},
-       {25, 55, 45, 65, 5}, ""},
-      {{"int16", Op::kConv2d, conv_attrs({0, 0, 0, 0}, {1, 1}, {1, 1}, kI48),
+       {25, 55, 45, 65, 5},
+       ""},
+      {{"int16",
+        Op::kConv2d,
+        conv_attrs({0, 0, 0, 0}, {1, 1}, {1, 1}, kI48),
         {constant(kI16, {1, 1, 1, 2}, {-32768, 32767}), constant(kI8, {1, 1, 1, 2}, {-128, 127}),
          constant(kI48, {1}), kZero16, constant(kI8, {-128})},
         {kI48, {1, 1, 1, 1}}},
-       {32767 * 255 + 1}, ""},
+       {32767 * 255 + 1},
+       ""},
   });
 }
 
 /// One output of `count` input channels, all at the largest difference from their zero points.
 EvalCase largest_sum(int64_t count, int64_t bias, Ints expected) {
   const size_t size = static_cast<size_t>(count);
-  return {{fmt::format("{} products", count), Op::kConv2d,
+  return {{fmt::format("{} products", count),
+           Op::kConv2d,
            conv_attrs({0, 0, 0, 0}, {1, 1}, {1, 1}),
            {constant(kI8, {1, 1, 1, count}, Ints(size, 127)),
             constant(kI8, {1, 1, 1, count}, Ints(size, 127)), constant(kI32, {bias}),
@@ -366,11 +391,14 @@ TEST(Interpreter, SumsConvolutionsExactlyUpToTheLimitOfInt32) {
 TEST(Interpreter, ChecksInt48Accumulators) {
   const int64_t max48 = (int64_t{1} << 47) - 1;
   const auto conv = [](int64_t in, int64_t weight, int64_t bias, Ints expected) {
-    return EvalCase{{"", Op::kConv2d, conv_attrs({0, 0, 0, 0}, {1, 1}, {1, 1}, kI48),
+    return EvalCase{{"",
+                     Op::kConv2d,
+                     conv_attrs({0, 0, 0, 0}, {1, 1}, {1, 1}, kI48),
                      {constant(kI16, {1, 1, 1, 1}, {in}), constant(kI8, {1, 1, 1, 1}, {weight}),
                       constant(kI48, {bias}), kZero16, kZero8},
                      {kI48, {1, 1, 1, 1}}},
-                    std::move(expected), ""};
+                    std::move(expected),
+                    ""};
   };
   expect({conv(1, 1, max48 - 1, {max48}), fails(conv(1, 1, max48, {}), "is outside INT48"),
           conv(-1, 1, -max48, {-max48 - 1}),
@@ -383,17 +411,23 @@ TEST(Interpreter, ComputesMatmul) {
   const Operand long_column = constant(kI8, {1, 33026, 1}, Ints(many, 127));
   const Operand low = constant(kI8, {-128});
   expect({
-      {{"", Op::kMatmul, {},
+      {{"",
+        Op::kMatmul,
+        {},
         {constant(kI8, {2, 1, 2}, {1, 2, 3, 4}),
          constant(kI8, {2, 2, 3}, {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12}), constant(kI8, {1}),
          constant(kI8, {-1})},
         {kI32, {2, 1, 3}}},
-       {5, 6, 7, 2 * 8 + 3 * 11, 2 * 9 + 3 * 12, 2 * 10 + 3 * 13}, ""},
-      {{"int16", Op::kMatmul, {},
+       {5, 6, 7, 2 * 8 + 3 * 11, 2 * 9 + 3 * 12, 2 * 10 + 3 * 13},
+       ""},
+      {{"int16",
+        Op::kMatmul,
+        {},
         {constant(kI16, {1, 1, 3}, {-32768, -32768, -32768}),
          constant(kI16, {1, 3, 1}, {-32768, -32768, -32768}), kZero16, kZero16},
         {kI48, {1, 1, 1}}},
-       {3 * (int64_t{1} << 30)}, ""},
+       {3 * (int64_t{1} << 30)},
+       ""},
       fails({{"", Op::kMatmul, {}, {long_row, long_column, low, low}, {kI32, {1, 1, 1}}}, {}, ""},
             "the result 2147515650 is outside INT32"),
   });
@@ -403,10 +437,13 @@ TEST(Interpreter, ComputesPools) {
   const Operand image = constant(kI8, {1, 2, 3, 1}, {1, 2, 3, -4, -5, 127});
   const auto average = [&](Ints kernel, Ints pad, int64_t in_zp, int64_t out_zp, Shape result,
                            Ints expected) {
-    return EvalCase{{"", Op::kAvgPool2d, avg_pool_attrs(std::move(kernel), {1, 1}, std::move(pad)),
+    return EvalCase{{"",
+                     Op::kAvgPool2d,
+                     avg_pool_attrs(std::move(kernel), {1, 1}, std::move(pad)),
                      {image, constant(kI8, {in_zp}), constant(kI8, {out_zp})},
                      {kI8, std::move(result)}},
-                    std::move(expected), ""};
+                    std::move(expected),
+                    ""};
   };
   expect({
       average({1, 1}, {0, 0, 0, 0}, -128, 127, {1, 2, 3, 1}, {127, 127, 127, 127, 127, 127}),
@@ -414,23 +451,34 @@ TEST(Interpreter, ComputesPools) {
       average({2, 3}, {0, 0, 0, 0}, 0, 0, {1, 1, 1, 1}, {21}),  // 124 / 6 = 20.67
       // A window counts what lies inside. -3 / 2 is -2: the multiplier is a little above a half.
       average({2, 2}, {1, 0, 1, 0}, 0, 10, {1, 2, 3, 1}, {11, 12, 13, 8, 8, 42}),
-      {{"", Op::kMaxPool2d, max_pool_attrs({2, 2}, {1, 1}, {1, 0, 1, 0}), {image},
+      {{"",
+        Op::kMaxPool2d,
+        max_pool_attrs({2, 2}, {1, 1}, {1, 0, 1, 0}),
+        {image},
         {kI8, {1, 2, 3, 1}}},
-       {1, 2, 3, 1, 2, 127}, ""},
-      {{"", Op::kMaxPool2d, max_pool_attrs({2, 1}, {1, 1}, {1, 1, 0, 0}),
-        {constant(kI16, {1, 1, 1, 1}, {-32768})}, {kI16, {1, 2, 1, 1}}},
-       {-32768, -32768}, ""},
+       {1, 2, 3, 1, 2, 127},
+       ""},
+      {{"",
+        Op::kMaxPool2d,
+        max_pool_attrs({2, 1}, {1, 1}, {1, 1, 0, 0}),
+        {constant(kI16, {1, 1, 1, 1}, {-32768})},
+        {kI16, {1, 2, 1, 1}}},
+       {-32768, -32768},
+       ""},
   });
 }
 
 TEST(Interpreter, Resizes) {
   const auto resize = [](int64_t mode, DType from, DType to, Shape in, Ints data, Ints scale,
                          Ints offset, Ints border, Shape out, Ints expected) {
-    return EvalCase{{"", Op::kResize, Attrs().set(Attr::kMode, mode),
+    return EvalCase{{"",
+                     Op::kResize,
+                     Attrs().set(Attr::kMode, mode),
                      {constant(from, std::move(in), std::move(data)), dims(std::move(scale)),
                       dims(std::move(offset)), dims(std::move(border))},
                      {to, std::move(out)}},
-                    std::move(expected), ""};
+                    std::move(expected),
+                    ""};
   };
   expect({
       resize(kNearest, kI8, kI8, {1, 1, 2, 1}, {1, 2}, {1, 1, 2, 1}, {0, 0}, {0, 1}, {1, 1, 4, 1},
@@ -452,14 +500,19 @@ TEST(Interpreter, Reduces) {
   const auto reduce = [](Op op, DType type, Ints data, int64_t axis, Shape result, Ints expected) {
     Attrs attrs = axis_attrs(axis);
     if (op == Op::kReduceMax || op == Op::kReduceMin) attrs = nan_attrs(attrs);
-    return EvalCase{{"", op, attrs, {constant(type, {2, 3}, std::move(data))},
-                     {type, std::move(result)}},
-                    std::move(expected), ""};
+    return EvalCase{
+        {"", op, attrs, {constant(type, {2, 3}, std::move(data))}, {type, std::move(result)}},
+        std::move(expected),
+        ""};
   };
   const auto argmax = [](Ints data, int64_t axis, Shape result, Ints expected) {
-    return EvalCase{{"", Op::kArgmax, nan_attrs(axis_attrs(axis)),
-                     {constant(kI8, {2, 3}, std::move(data))}, {kI32, std::move(result)}},
-                    std::move(expected), ""};
+    return EvalCase{{"",
+                     Op::kArgmax,
+                     nan_attrs(axis_attrs(axis)),
+                     {constant(kI8, {2, 3}, std::move(data))},
+                     {kI32, std::move(result)}},
+                    std::move(expected),
+                    ""};
   };
   expect({
       reduce(Op::kReduceSum, kI32, {1, 2, 3, 4, 5, 6}, 0, {1, 3}, {5, 7, 9}),
@@ -479,33 +532,46 @@ TEST(Interpreter, MovesData) {
   const Operand block = constant(kI16, {2, 3}, {1, 2, 3, 4, 5, 6});
   const Operand cube = constant(kI8, {1, 2, 3}, {1, 2, 3, 4, 5, 6});
   expect({
-      {{"", Op::kConcat, axis_attrs(1), {block, constant(kI16, {2, 1}, {7, 8}), block},
+      {{"",
+        Op::kConcat,
+        axis_attrs(1),
+        {block, constant(kI16, {2, 1}, {7, 8}), block},
         {kI16, {2, 7}}},
-       {1, 2, 3, 7, 1, 2, 3, 4, 5, 6, 8, 4, 5, 6}, ""},
+       {1, 2, 3, 7, 1, 2, 3, 4, 5, 6, 8, 4, 5, 6},
+       ""},
       {{"", Op::kPad, {}, {block, dims({1, 0, 0, 2}), constant(kI16, {-9})}, {kI16, {3, 5}}},
-       {-9, -9, -9, -9, -9, 1, 2, 3, -9, -9, 4, 5, 6, -9, -9}, ""},
+       {-9, -9, -9, -9, -9, 1, 2, 3, -9, -9, 4, 5, 6, -9, -9},
+       ""},
       {{"", Op::kReshape, {}, {block, dims({3, 2})}, {kI16, {3, 2}}}, {1, 2, 3, 4, 5, 6}, ""},
       {{"", Op::kReshape, {}, {constant(kI32, {1, 1}, {5}), dims({})}, {kI32, {}}}, {5}, ""},
       {{"", Op::kReverse, axis_attrs(1), {block}, {kI16, {2, 3}}}, {3, 2, 1, 6, 5, 4}, ""},
       {{"", Op::kReverse, axis_attrs(0), {block}, {kI16, {2, 3}}}, {4, 5, 6, 1, 2, 3}, ""},
       {{"", Op::kSlice, {}, {block, dims({0, 1}), dims({2, 2})}, {kI16, {2, 2}}}, {2, 3, 5, 6}, ""},
       {{"", Op::kTile, {}, {block, dims({2, 2})}, {kI16, {4, 6}}},
-       {1, 2, 3, 1, 2, 3, 4, 5, 6, 4, 5, 6, 1, 2, 3, 1, 2, 3, 4, 5, 6, 4, 5, 6}, ""},
+       {1, 2, 3, 1, 2, 3, 4, 5, 6, 4, 5, 6, 1, 2, 3, 1, 2, 3, 4, 5, 6, 4, 5, 6},
+       ""},
       {{"", Op::kTranspose, Attrs().set(Attr::kPerms, Ints{2, 0, 1}), {cube}, {kI8, {3, 1, 2}}},
-       {1, 4, 2, 5, 3, 6}, ""},
+       {1, 4, 2, 5, 3, 6},
+       ""},
       {{"", Op::kGather, {}, {cube, constant(kI32, {1, 3}, {1, 1, 0})}, {kI8, {1, 3, 3}}},
-       {4, 5, 6, 4, 5, 6, 1, 2, 3}, ""},
+       {4, 5, 6, 4, 5, 6, 1, 2, 3},
+       ""},
       {{"", Op::kGather, {}, {cube, constant(kI32, {1, 2}, {0, 2})}, {kI8, {1, 2, 3}}},
-       {}, "the indices have 2 at [0,1], expected 0 to 1"},
-      {{"", Op::kScatter, {},
-        {cube, constant(kI32, {1, 1}, {1}), constant(kI8, {1, 1, 3}, {7, 8, 9})}, {kI8, {1, 2, 3}}},
-       {1, 2, 3, 7, 8, 9}, ""},
-      {{"", Op::kScatter, {},
-        {cube, constant(kI32, {1, 2}, {1, 1}), cube}, {kI8, {1, 2, 3}}},
-       {}, "element 3 [0,1,0]: written by more than one index"},
-      {{"", Op::kScatter, {},
-        {cube, constant(kI32, {1, 2}, {1, -1}), cube}, {kI8, {1, 2, 3}}},
-       {}, "the indices have -1 at [0,1]"},
+       {},
+       "the indices have 2 at [0,1], expected 0 to 1"},
+      {{"",
+        Op::kScatter,
+        {},
+        {cube, constant(kI32, {1, 1}, {1}), constant(kI8, {1, 1, 3}, {7, 8, 9})},
+        {kI8, {1, 2, 3}}},
+       {1, 2, 3, 7, 8, 9},
+       ""},
+      {{"", Op::kScatter, {}, {cube, constant(kI32, {1, 2}, {1, 1}), cube}, {kI8, {1, 2, 3}}},
+       {},
+       "element 3 [0,1,0]: written by more than one index"},
+      {{"", Op::kScatter, {}, {cube, constant(kI32, {1, 2}, {1, -1}), cube}, {kI8, {1, 2, 3}}},
+       {},
+       "the indices have -1 at [0,1]"},
   });
 }
 

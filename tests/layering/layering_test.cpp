@@ -1,4 +1,5 @@
-// Greps every include of the product against the drawing of architecture section 1, so that it cannot age.
+// Greps every include of the product against the drawing of architecture section 1, so that it
+// cannot age.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -13,8 +14,8 @@ namespace {
 namespace fs = std::filesystem;
 
 struct Rule {
-  std::string room;                   ///< prefix of the including file
-  std::vector<std::string> may_see;   ///< prefixes of project headers
+  std::string room;                  ///< prefix of the including file
+  std::vector<std::string> may_see;  ///< prefixes of project headers
 };
 
 /// The longest matching room counts.
@@ -51,7 +52,8 @@ const std::vector<Door> kDoors{
 };
 
 bool starts_with_any(const std::string& text, const std::vector<std::string>& prefixes) {
-  return std::any_of(prefixes.begin(), prefixes.end(), [&](const std::string& prefix) { return text.starts_with(prefix); });
+  return std::any_of(prefixes.begin(), prefixes.end(),
+                     [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
 struct Include {
@@ -69,7 +71,8 @@ std::vector<Include> all_includes() {
       std::ifstream stream(entry.path());
       for (std::string line; std::getline(stream, line);) {
         std::smatch match;
-        if (std::regex_search(line, match, kInclude)) includes.push_back({fs::relative(entry.path(), root).string(), match[1]});
+        if (std::regex_search(line, match, kInclude))
+          includes.push_back({fs::relative(entry.path(), root).string(), match[1]});
       }
     }
   }
@@ -80,12 +83,16 @@ TEST(Layering, RoomsSeeOnlyWhatTheDrawingAllows) {
   const std::vector<Include> includes = all_includes();
   ASSERT_GT(includes.size(), 300u) << "the sources were not found";
   for (const Include& include : includes) {
-    if (!starts_with_any(include.header, {"ir/", "compiler/", "runtime/", "tools/", "tests/"})) continue;
+    if (!starts_with_any(include.header, {"ir/", "compiler/", "runtime/", "tools/", "tests/"}))
+      continue;
     const Rule* rule = nullptr;
     for (const Rule& candidate : kRules)
-      if (include.file.starts_with(candidate.room) && (!rule || candidate.room.size() > rule->room.size())) rule = &candidate;
+      if (include.file.starts_with(candidate.room) &&
+          (!rule || candidate.room.size() > rule->room.size()))
+        rule = &candidate;
     ASSERT_NE(rule, nullptr) << include.file << " lies in no room";
-    EXPECT_TRUE(starts_with_any(include.header, rule->may_see)) << include.file << " must not include " << include.header;
+    EXPECT_TRUE(starts_with_any(include.header, rule->may_see))
+        << include.file << " must not include " << include.header;
   }
 }
 
@@ -93,7 +100,8 @@ TEST(Layering, ThirdPartiesComeThroughTheirDoors) {
   for (const Include& include : all_includes()) {
     for (const Door& door : kDoors) {
       if (!std::regex_search(include.header, door.include)) continue;
-      EXPECT_TRUE(starts_with_any(include.file, door.allowed)) << include.file << " must not include " << include.header;
+      EXPECT_TRUE(starts_with_any(include.file, door.allowed))
+          << include.file << " must not include " << include.header;
     }
   }
 }

@@ -21,7 +21,8 @@ Outcome shale(const std::string& arguments, const std::string& environment = "")
   Outcome outcome;
   std::FILE* pipe = popen((environment + " " SHALE_PROGRAM " " + arguments + " 2>&1").c_str(), "r");
   char buffer[4096];
-  for (size_t count; (count = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.text.append(buffer, count);
+  for (size_t count; (count = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;)
+    outcome.text.append(buffer, count);
   const int status = pclose(pipe);
   outcome.exit = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   return outcome;
@@ -32,7 +33,9 @@ std::string read(const fs::path& path) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 
-void write(const fs::path& path, const std::string& text) { std::ofstream(path, std::ios::binary) << text; }
+void write(const fs::path& path, const std::string& text) {
+  std::ofstream(path, std::ios::binary) << text;
+}
 
 const std::string kModels = SHALE_SOURCE_DIR "/models";
 
@@ -42,7 +45,9 @@ const std::string kSmallGraph = read(SHALE_SOURCE_DIR "/tests/tools/small.tir");
 class Cli : public testing::Test {
  protected:
   void SetUp() override {
-    folder_ = fs::temp_directory_path() / ("shale_cli_" + std::string(testing::UnitTest::GetInstance()->current_test_info()->name()));
+    folder_ =
+        fs::temp_directory_path() /
+        ("shale_cli_" + std::string(testing::UnitTest::GetInstance()->current_test_info()->name()));
     fs::remove_all(folder_);
     fs::create_directories(folder_);
     write(file("small.tir"), kSmallGraph);
@@ -56,11 +61,13 @@ class Cli : public testing::Test {
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
-  for (const char* command : {"compile", "run", "play", "report", "dump", "verify", "conform", "doctor"}) {
+  for (const char* command :
+       {"compile", "run", "play", "report", "dump", "verify", "conform", "doctor"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
-    EXPECT_NE(help.text.find("Example: shale " + std::string(command)), std::string::npos) << help.text;
+    EXPECT_NE(help.text.find("Example: shale " + std::string(command)), std::string::npos)
+        << help.text;
   }
 }
 
@@ -71,7 +78,10 @@ TEST_F(Cli, ExitCodesTellUsageFromRefusalFromMissingDevice) {
   EXPECT_EQ(shale("verify " + file("absent.tosa")).exit, 1);
   EXPECT_EQ(shale("verify " + file("small.tir")).exit, 0);
   EXPECT_EQ(shale("doctor", "VK_ICD_FILENAMES=/nonexistent VK_DRIVER_FILES=/nonexistent").exit, 3);
-  EXPECT_EQ(shale("run " + file("small.tir") + " --random 1", "VK_ICD_FILENAMES=/nonexistent VK_DRIVER_FILES=/nonexistent").exit, 3);
+  EXPECT_EQ(shale("run " + file("small.tir") + " --random 1",
+                  "VK_ICD_FILENAMES=/nonexistent VK_DRIVER_FILES=/nonexistent")
+                .exit,
+            3);
   EXPECT_EQ(shale("run " + file("small.tir") + " --random 1 --device NoSuchDevice").exit, 3);
 }
 
@@ -106,29 +116,33 @@ TEST_F(Cli, TruncationAtEveryByteIsAnErrorWithExitCodeOne) {
   const std::string package = read(file("whole.shale"));
   for (size_t size = 0; size < package.size(); size += 97) {
     write(file("cut.shale"), package.substr(0, size));
-    ASSERT_EQ(shale("verify " + file("cut.shale")).exit, 1) << size << " of " << package.size() << " bytes";
+    ASSERT_EQ(shale("verify " + file("cut.shale")).exit, 1)
+        << size << " of " << package.size() << " bytes";
   }
 }
 
 TEST_F(Cli, RunChecksAgainstTheInterpreterUnderValidation) {
-  const Outcome outcome = shale("run " + file("small.tir") + " --random 7 --check --validation --profile");
+  const Outcome outcome =
+      shale("run " + file("small.tir") + " --random 7 --check --validation --profile");
   EXPECT_EQ(outcome.exit, 0) << outcome.text;
-  EXPECT_NE(outcome.text.find("output \"y\": equal to the interpreter"), std::string::npos) << outcome.text;
+  EXPECT_NE(outcome.text.find("output \"y\": equal to the interpreter"), std::string::npos)
+      << outcome.text;
   EXPECT_NE(outcome.text.find("us total"), std::string::npos);
 }
 
 TEST_F(Cli, RunOfAPackageNeedsItsModelToCheck) {
   ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
   EXPECT_EQ(shale("run " + file("s.shale") + " --random 1 --check").exit, 1);
-  EXPECT_EQ(shale("run " + file("s.shale") + " --random 1 --check --model " + file("small.tir")).exit, 0);
+  EXPECT_EQ(
+      shale("run " + file("s.shale") + " --random 1 --check --model " + file("small.tir")).exit, 0);
   EXPECT_EQ(shale("run " + file("s.shale")).exit, 1) << "inputs are missing";
 }
 
 TEST_F(Cli, TrainedModelsGiveTheirGoldenOffsets) {
   for (const char* name : {"srpo_x2", "srpo_x3"}) {
     const std::string model = kModels + "/" + name;
-    const Outcome outcome = shale("run " + model + "/model.tosa --input input=" + model + "/golden/input.npy -o " +
-                                  file(name) + " --check --validation");
+    const Outcome outcome = shale("run " + model + "/model.tosa --input input=" + model +
+                                  "/golden/input.npy -o " + file(name) + " --check --validation");
     EXPECT_EQ(outcome.exit, 0) << outcome.text;
     EXPECT_EQ(read(file(name) + "/offsets.npy"), read(model + "/golden/offsets.npy")) << name;
   }
@@ -136,8 +150,9 @@ TEST_F(Cli, TrainedModelsGiveTheirGoldenOffsets) {
 
 TEST_F(Cli, PlayRunsTheSandwichOnAPictureAndAFolder) {
   const std::string picture = kModels + "/pictures/raster_lr.png";
-  const Outcome one = shale("play " + kModels + "/srpo_x2 -i " + picture + " -o " + file("one.png") + " --compare " +
-                            file("panels.png") + " --reference " + kModels + "/pictures/raster_x2.png --profile --validation --json");
+  const Outcome one = shale("play " + kModels + "/srpo_x2 -i " + picture + " -o " +
+                            file("one.png") + " --compare " + file("panels.png") + " --reference " +
+                            kModels + "/pictures/raster_x2.png --profile --validation --json");
   ASSERT_EQ(one.exit, 0) << one.text;
   const nlohmann::json json = nlohmann::json::parse(one.text);
   EXPECT_EQ(json["frames"][0]["width"], 960);
@@ -155,33 +170,43 @@ TEST_F(Cli, PlayRunsTheSandwichOnAPictureAndAFolder) {
 }
 
 TEST_F(Cli, PlayRefusesPicturesOfAnotherSizeAndPackagesWithoutSandwich) {
-  ASSERT_EQ(shale("compile " + kModels + "/srpo_x2 --input-shape input=1,16,16,3 -o " + file("p.shale")).exit, 0);
+  ASSERT_EQ(
+      shale("compile " + kModels + "/srpo_x2 --input-shape input=1,16,16,3 -o " + file("p.shale"))
+          .exit,
+      0);
   const std::string play = " -i " + kModels + "/pictures/raster_lr.png -o " + file("o.png");
   const Outcome size = shale("play " + file("p.shale") + play);
   EXPECT_EQ(size.exit, 1);
   EXPECT_NE(size.text.find("480x270"), std::string::npos) << size.text;
   ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
   EXPECT_EQ(shale("play " + file("s.shale") + play).exit, 1);
-  EXPECT_EQ(shale("play " + kModels + "/srpo_x2 -i " + file("small.tir") + " -o " + file("o.png")).exit, 1);
+  EXPECT_EQ(
+      shale("play " + kModels + "/srpo_x2 -i " + file("small.tir") + " -o " + file("o.png")).exit,
+      1);
   EXPECT_FALSE(fs::exists(file("o.png")));
 }
 
 TEST_F(Cli, DumpShowsGraphPackageMemoryAndShaders) {
   EXPECT_EQ(shale("dump " + file("small.tir")).text, shale("dump " + file("small.tir")).text);
-  ASSERT_EQ(shale("compile " + file("small.tir") + " --kernels generic -o " + file("s.shale")).exit, 0);
+  ASSERT_EQ(shale("compile " + file("small.tir") + " --kernels generic -o " + file("s.shale")).exit,
+            0);
   EXPECT_NE(shale("dump " + file("s.shale")).text.find("generic"), std::string::npos);
-  EXPECT_NE(shale("dump " + file("s.shale") + " --what memory").text.find("arena"), std::string::npos);
-  EXPECT_NE(shale("dump " + file("s.shale") + " --what spirv").text.find("OpEntryPoint"), std::string::npos);
+  EXPECT_NE(shale("dump " + file("s.shale") + " --what memory").text.find("arena"),
+            std::string::npos);
+  EXPECT_NE(shale("dump " + file("s.shale") + " --what spirv").text.find("OpEntryPoint"),
+            std::string::npos);
   EXPECT_EQ(shale("dump " + file("small.tir") + " --what memory").exit, 1);
 }
 
 TEST_F(Cli, CompileOptionsAreChecked) {
   const std::string compile = "compile " + file("small.tir") + " -o " + file("s.shale");
-  for (const char* option : {"--input-shape x=1,4", "--input-shape y=1,4,4,1", "--input-shape x", "--input-shape x=0,4,4,1",
-                             "--kernels none", "--target moon", "--dump-after nothing"}) {
+  for (const char* option :
+       {"--input-shape x=1,4", "--input-shape y=1,4,4,1", "--input-shape x",
+        "--input-shape x=0,4,4,1", "--kernels none", "--target moon", "--dump-after nothing"}) {
     const Outcome outcome = shale(compile + " " + option);
     EXPECT_EQ(outcome.exit, 1) << option << ": " << outcome.text;
-    EXPECT_EQ(std::count(outcome.text.begin(), outcome.text.end(), '\n'), 1) << option << ": " << outcome.text;
+    EXPECT_EQ(std::count(outcome.text.begin(), outcome.text.end(), '\n'), 1)
+        << option << ": " << outcome.text;
   }
   const Outcome dumped = shale(compile + " --dump-after fold-zero-point --verify-each");
   EXPECT_EQ(dumped.exit, 0) << dumped.text;
@@ -192,8 +217,10 @@ TEST_F(Cli, CompileOptionsAreChecked) {
 TEST_F(Cli, JsonIsJson) {
   ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
   for (const std::string& command :
-       {"compile " + file("small.tir") + " -o " + file("t.shale") + " --json", "verify " + file("small.tir") + " --json",
-        "run " + file("small.tir") + " --random 1 --json", "report " + file("small.tir") + " --json", std::string("doctor --json")}) {
+       {"compile " + file("small.tir") + " -o " + file("t.shale") + " --json",
+        "verify " + file("small.tir") + " --json",
+        "run " + file("small.tir") + " --random 1 --json",
+        "report " + file("small.tir") + " --json", std::string("doctor --json")}) {
     const Outcome outcome = shale(command);
     EXPECT_EQ(outcome.exit, 0) << command;
     EXPECT_TRUE(nlohmann::json::accept(outcome.text)) << command << "\n" << outcome.text;
@@ -203,7 +230,9 @@ TEST_F(Cli, JsonIsJson) {
 TEST_F(Cli, ReportCountsTheSrpoParameters) {
   const Outcome outcome = shale("report " + kModels + "/srpo_x2");
   EXPECT_EQ(outcome.exit, 0);
-  EXPECT_TRUE(outcome.text.find("8,434") != std::string::npos || outcome.text.find("8434") != std::string::npos) << outcome.text;
+  EXPECT_TRUE(outcome.text.find("8,434") != std::string::npos ||
+              outcome.text.find("8434") != std::string::npos)
+      << outcome.text;
 }
 
 }  // namespace

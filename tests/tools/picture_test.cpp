@@ -14,12 +14,14 @@ Picture pattern(uint32_t width, uint32_t height) {
   Picture picture = Picture::filled(width, height, 0);
   for (uint32_t y = 0; y < height; ++y)
     for (uint32_t x = 0; x < width; ++x)
-      for (uint32_t c = 0; c < 3; ++c) picture.at(x, y)[c] = static_cast<uint8_t>(37 * x + 91 * y + 17 * c);
+      for (uint32_t c = 0; c < 3; ++c)
+        picture.at(x, y)[c] = static_cast<uint8_t>(37 * x + 91 * y + 17 * c);
   return picture;
 }
 
 TEST(Picture, PngRoundTripsExactly) {
-  const std::string path = (std::filesystem::temp_directory_path() / "shale_picture_test.png").string();
+  const std::string path =
+      (std::filesystem::temp_directory_path() / "shale_picture_test.png").string();
   const Picture picture = pattern(13, 7);
   ASSERT_TRUE(save_png(path, picture));
   const Result<Picture> read = load_picture(path);
@@ -52,7 +54,8 @@ TEST(Picture, PsnrFollowsItsFormula) {
 }
 
 TEST(Picture, PanelsHoldTheirPictures) {
-  const Picture panels = side_by_side({{"a", Picture::filled(20, 10, 200)}, {"b", Picture::filled(20, 10, 10)}}, 2);
+  const Picture panels =
+      side_by_side({{"a", Picture::filled(20, 10, 200)}, {"b", Picture::filled(20, 10, 10)}}, 2);
   EXPECT_EQ(panels.at(8 + 10, 28 + 5)[0], 200);
   EXPECT_EQ(panels.at(8 + 28 + 10, 28 + 5)[0], 10);
 }

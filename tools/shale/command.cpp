@@ -37,7 +37,8 @@ bool interrupted() {
   return interrupt_seen;
 }
 
-Progress::Progress(std::string label) : label_(std::move(label)), is_terminal_(isatty(STDERR_FILENO) != 0) {
+Progress::Progress(std::string label)
+    : label_(std::move(label)), is_terminal_(isatty(STDERR_FILENO) != 0) {
   install_interrupt_handler();
 }
 
@@ -70,8 +71,9 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
   std::error_code ignored;
   const bool is_folder = fs::is_directory(path, ignored);
   model.path = is_folder ? (fs::path(path) / "model.tosa").string() : path;
-  const std::string stem = is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
-                                     : fs::path(path).stem().string();
+  const std::string stem =
+      is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
+                : fs::path(path).stem().string();
   model.name = stem.empty() ? "model" : stem;
   SHALE_TRY(model.bytes, read_file(model.path));
   std::string frame = frame_path;
@@ -105,15 +107,23 @@ Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text)
 }
 
 void CompileArguments::add_to(CLI::App& app) {
-  app.add_option("--input-shape", input_shapes, "shape of a graph input, NAME=N,H,W,C (again for each input)")
+  app.add_option("--input-shape", input_shapes,
+                 "shape of a graph input, NAME=N,H,W,C (again for each input)")
       ->allow_extra_args(false);
-  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")->delimiter(',')->allow_extra_args(false);
-  app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")->delimiter(',')->allow_extra_args(false);
+  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")
+      ->delimiter(',')
+      ->allow_extra_args(false);
+  app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
+      ->delimiter(',')
+      ->allow_extra_args(false);
   app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
-  app.add_option("--dump-after", dump_after, "print the graph after these passes")->delimiter(',')->allow_extra_args(false);
+  app.add_option("--dump-after", dump_after, "print the graph after these passes")
+      ->delimiter(',')
+      ->allow_extra_args(false);
   app.add_flag("--no-passes", no_passes, "skip every pass that is not needed to compile");
   app.add_flag("--verify-each", verify_each, "verify the graph after each pass");
-  app.add_flag("--require-proof", require_proof, "refuse convolutions whose accumulators cannot be bounded");
+  app.add_flag("--require-proof", require_proof,
+               "refuse convolutions whose accumulators cannot be bounded");
   app.add_flag("--no-spirv-opt", no_spirv_opt, "leave the shaders as glslang made them");
 }
 
@@ -123,7 +133,8 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   options.kernels = kernels;
   for (const std::string& kernel : kernels) {
     const auto known = all_kernels();
-    if (std::none_of(known.begin(), known.end(), [&](const KernelFamily& family) { return family.name == kernel; }))
+    if (std::none_of(known.begin(), known.end(),
+                     [&](const KernelFamily& family) { return family.name == kernel; }))
       return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   }
   for (const std::string& text : input_shapes) {
@@ -140,7 +151,8 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
     return read_text((fs::path(folder) / path).string());
   };
   for (const std::string& pass : dump_after)
-    if (pass != "all" && !find_pass(pass)) return bad_input("--dump-after", "\"{}\" is no pass", pass);
+    if (pass != "all" && !find_pass(pass))
+      return bad_input("--dump-after", "\"{}\" is no pass", pass);
   if (!dump_after.empty()) {
     options.pass_options.after = [names = dump_after](std::string_view pass, const Graph& graph) {
       for (const std::string& name : names)

@@ -15,13 +15,17 @@ Result<int> compile_to_file(const Arguments& arguments) {
   SHALE_TRY(const ModelFiles model, load_model(arguments.model, arguments.compile.frame));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   SHALE_TRY(const Compiled compiled, compile_model(model, options));
-  for (const std::string& warning : compiled.warnings) fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  for (const std::string& warning : compiled.warnings)
+    fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
   const std::vector<uint8_t> bytes = write_package(compiled.package);
   SHALE_TRY_VOID(write_file(arguments.output, bytes));
 
-  Json json{{"package", arguments.output}, {"bytes", bytes.size()}, {"kernels_ms", compiled.kernels_ms}};
+  Json json{
+      {"package", arguments.output}, {"bytes", bytes.size()}, {"kernels_ms", compiled.kernels_ms}};
   for (const PassTiming& timing : compiled.timings)
-    json["passes"].push_back({{"name", timing.pass}, {"time_us", timing.time_us}, {"changed", timing.change == Change::kChanged}});
+    json["passes"].push_back({{"name", timing.pass},
+                              {"time_us", timing.time_us},
+                              {"changed", timing.change == Change::kChanged}});
   for (const Variant& variant : compiled.package.variants) {
     size_t dispatches = 0;
     for (const Segment& segment : variant.segments) dispatches += segment.dispatches.size();
@@ -37,12 +41,14 @@ Result<int> compile_to_file(const Arguments& arguments) {
     return kDone;
   }
   for (const Json& variant : json["variants"])
-    fmt::print("{}: {} dispatches, {} modules, arena {} bytes\n", variant["target"].get<std::string>(),
-               variant["dispatches"].get<size_t>(), variant["modules"].get<size_t>(), variant["arena_bytes"].get<uint64_t>());
+    fmt::print("{}: {} dispatches, {} modules, arena {} bytes\n",
+               variant["target"].get<std::string>(), variant["dispatches"].get<size_t>(),
+               variant["modules"].get<size_t>(), variant["arena_bytes"].get<uint64_t>());
   fmt::print("wrote {} ({} bytes)\n", arguments.output, bytes.size());
   if (arguments.timings) {
     for (const PassTiming& timing : compiled.timings)
-      fmt::print("  {:<18} {:>10.1f} us{}\n", timing.pass, timing.time_us, timing.change == Change::kChanged ? "  changed" : "");
+      fmt::print("  {:<18} {:>10.1f} us{}\n", timing.pass, timing.time_us,
+                 timing.change == Change::kChanged ? "  changed" : "");
     fmt::print("  {:<18} {:>10.1f} us\n", "kernels", 1000 * compiled.kernels_ms);
   }
   return kDone;
@@ -52,7 +58,9 @@ Result<int> compile_to_file(const Arguments& arguments) {
 
 Action add_compile(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("model", arguments->model, "model file (.tosa, .tir) or a folder with model.tosa and frame.json")->required();
+  app.add_option("model", arguments->model,
+                 "model file (.tosa, .tir) or a folder with model.tosa and frame.json")
+      ->required();
   app.add_option("-o,--output", arguments->output, "package to write")->required();
   arguments->compile.add_to(app);
   app.add_flag("--timings", arguments->timings, "print the time of each pass");

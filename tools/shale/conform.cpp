@@ -38,7 +38,8 @@ Result<std::vector<fs::path>> find_cases(const std::string& root) {
   if (fs::exists(fs::path(root) / "desc.json", error)) cases.emplace_back(root);
   for (; it != fs::recursive_directory_iterator(); it.increment(error)) {
     if (error) return io_error(root, "cannot list: {}", error.message());
-    if (it->is_directory(error) && fs::exists(it->path() / "desc.json", error)) cases.push_back(it->path());
+    if (it->is_directory(error) && fs::exists(it->path() / "desc.json", error))
+      cases.push_back(it->path());
   }
   std::sort(cases.begin(), cases.end());
   return cases;
@@ -56,7 +57,8 @@ class Runner {
     const std::string file = description->value("tosa_file", "graph.tosa");
     const Result<std::string> difference = check(folder, *description, file, must_accept);
     if (!difference) {
-      outcome.passed = !must_accept && difference.error().code != ErrorCode::kDevice && difference.error().code != ErrorCode::kIo;
+      outcome.passed = !must_accept && difference.error().code != ErrorCode::kDevice &&
+                       difference.error().code != ErrorCode::kIo;
       outcome.detail = difference.error().text();
     } else if (!must_accept) {
       outcome.detail = "accepted, but TOSA calls it invalid: " + description->value("reason", "");
@@ -71,12 +73,14 @@ class Runner {
   static Result<Json> read_description(const fs::path& folder) {
     SHALE_TRY(const std::string text, read_text((folder / "desc.json").string()));
     Json json = Json::parse(text, nullptr, false);
-    if (json.is_discarded() || !json.is_object()) return bad_input((folder / "desc.json").string(), "is not valid JSON");
+    if (json.is_discarded() || !json.is_object())
+      return bad_input((folder / "desc.json").string(), "is not valid JSON");
     return json;
   }
 
   /// First difference, empty if there is none; an error if the file is refused.
-  Result<std::string> check(const fs::path& folder, const Json& description, const std::string& file, bool must_accept) const {
+  Result<std::string> check(const fs::path& folder, const Json& description,
+                            const std::string& file, bool must_accept) const {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file((folder / file).string()));
     SHALE_TRY(const Graph graph, import_model(bytes));
     SHALE_TRY_VOID(verify(graph));
@@ -92,8 +96,8 @@ class Runner {
     return std::string();
   }
 
-  Result<std::vector<Tensor>> compute(const Graph& graph, const std::vector<uint8_t>& bytes, const std::vector<Tensor>& inputs,
-                                      bool must_accept) const {
+  Result<std::vector<Tensor>> compute(const Graph& graph, const std::vector<uint8_t>& bytes,
+                                      const std::vector<Tensor>& inputs, bool must_accept) const {
     if (!device_) return must_accept ? interpret(graph, inputs) : std::vector<Tensor>{};
     SHALE_TRY(const CompileOptions options, arguments_.compile.options({}));
     SHALE_TRY(const Compiled compiled, compile(bytes, options));
@@ -102,7 +106,8 @@ class Runner {
     return must_accept ? run_network(*device_, package, inputs) : std::vector<Tensor>{};
   }
 
-  static Result<std::vector<Tensor>> read_arrays(const fs::path& folder, const Json& description, const char* key, const Graph& graph,
+  static Result<std::vector<Tensor>> read_arrays(const fs::path& folder, const Json& description,
+                                                 const char* key, const Graph& graph,
                                                  const std::vector<ValueId>& ids) {
     std::vector<Tensor> tensors;
     for (const ValueId id : ids) {
@@ -110,7 +115,8 @@ class Runner {
       std::string file;
       for (const Json& entry : description.value(key, Json::array()))
         if (entry.value("name", "") == value.name) file = entry.value("file", "");
-      if (file.empty()) return bad_input((folder / "desc.json").string(), "names no file for \"{}\"", value.name);
+      if (file.empty())
+        return bad_input((folder / "desc.json").string(), "names no file for \"{}\"", value.name);
       SHALE_TRY(Tensor tensor, read_npy((folder / file).string(), value.type));
       tensors.push_back(std::move(tensor));
     }
@@ -142,7 +148,8 @@ Result<int> conform(const Arguments& arguments) {
       Outcome outcome = runner.run(cases[i]);
       if (device) {
         const std::vector<std::string> messages = device->take_validation_messages();
-        if (outcome.passed && !messages.empty()) outcome.passed = false, outcome.detail = "validation: " + messages.front();
+        if (outcome.passed && !messages.empty())
+          outcome.passed = false, outcome.detail = "validation: " + messages.front();
       }
       passed += outcome.passed ? 1 : 0;
       if (!outcome.passed) failures.push_back({{"case", outcome.name}, {"detail", outcome.detail}});
@@ -150,10 +157,14 @@ Result<int> conform(const Arguments& arguments) {
   }
   if (device) SHALE_TRY_VOID(device->close());
   if (arguments.json) {
-    print_json({{"backend", arguments.backend}, {"passed", passed}, {"failed", failures.size()}, {"failures", failures}});
+    print_json({{"backend", arguments.backend},
+                {"passed", passed},
+                {"failed", failures.size()},
+                {"failures", failures}});
   } else {
     for (const Json& failure : failures)
-      fmt::print("FAILED {}: {}\n", failure["case"].get<std::string>(), failure["detail"].get<std::string>());
+      fmt::print("FAILED {}: {}\n", failure["case"].get<std::string>(),
+                 failure["detail"].get<std::string>());
     fmt::print("{} passed, {} failed\n", passed, failures.size());
   }
   return failures.empty() ? kDone : kRefused;
@@ -164,7 +175,8 @@ Result<int> conform(const Arguments& arguments) {
 Action add_conform(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   app.add_option("folders", arguments->folders, "case folders, or folders of such")->required();
-  app.add_option("--backend", arguments->backend, "interpreter or device")->check(CLI::IsMember({"interpreter", "device"}));
+  app.add_option("--backend", arguments->backend, "interpreter or device")
+      ->check(CLI::IsMember({"interpreter", "device"}));
   add_device_options(app, arguments->device);
   arguments->compile.add_to(app);
   app.add_flag("--json", arguments->json, "print the result as JSON");

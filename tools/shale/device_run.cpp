@@ -13,7 +13,8 @@ namespace shale {
 void add_device_options(CLI::App& app, DeviceArguments& device) {
   app.add_option("--device", device.name, "part of the device's name (default: the first device)");
   app.add_option("--cache", device.cache, "file of the pipeline cache");
-  app.add_flag("--validation", device.validation, "run under the Vulkan validation layer; its messages are failures");
+  app.add_flag("--validation", device.validation,
+               "run under the Vulkan validation layer; its messages are failures");
 }
 
 Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
@@ -52,7 +53,8 @@ std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTim
   for (size_t i = 0; i < median.size(); ++i) {
     std::vector<double> values;
     for (const std::vector<DispatchTime>& frame : frames) values.push_back(frame[i].time_us);
-    std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
+    std::nth_element(values.begin(),
+                     values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
     median[i].time_us = values[values.size() / 2];
   }
   return median;
@@ -62,14 +64,17 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
                                         const std::vector<Tensor>& inputs, uint32_t repeat,
                                         std::vector<DispatchTime>* times) {
   const vk::Context& context = device.context();
-  SHALE_TRY(const DataGraphPipeline pipeline, DataGraphPipeline::create(context, package, {.cache = device.cache()}));
+  SHALE_TRY(const DataGraphPipeline pipeline,
+            DataGraphPipeline::create(context, package, {.cache = device.cache()}));
   SHALE_TRY(Session session, Session::create(pipeline));
   SHALE_TRY_VOID(session.allocate_memory());
 
-  constexpr VkBufferUsageFlags kUsage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
+  constexpr VkBufferUsageFlags kUsage =
+      VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
   const std::vector<const Resource*> in = tensors_of(pipeline.variant(), Category::kInput);
   const std::vector<const Resource*> out = tensors_of(pipeline.variant(), Category::kOutput);
-  if (in.size() != inputs.size()) return bad_input("", "found {} inputs, the network has {}", inputs.size(), in.size());
+  if (in.size() != inputs.size())
+    return bad_input("", "found {} inputs, the network has {}", inputs.size(), in.size());
   std::vector<vk::Buffer> buffers;
   const auto add = [&](const Resource& resource, vk::MemoryKind kind) -> Result<void> {
     const uint64_t size = (resource.size_bytes + 3) / 4 * 4;
@@ -80,8 +85,8 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
   };
   for (size_t i = 0; i < in.size(); ++i) {
     if (inputs[i].type.dtype != in[i]->dtype || inputs[i].type.shape != in[i]->shape)
-      return bad_input("input \"" + in[i]->name + "\"", "found {}, expected {}", type_text(inputs[i].type),
-                       type_text({in[i]->dtype, in[i]->shape}));
+      return bad_input("input \"" + in[i]->name + "\"", "found {}, expected {}",
+                       type_text(inputs[i].type), type_text({in[i]->dtype, in[i]->shape}));
     SHALE_TRY_VOID(add(*in[i], vk::MemoryKind::kUpload));
     std::copy(inputs[i].bytes.begin(), inputs[i].bytes.end(), buffers.back().mapped().begin());
   }
@@ -112,7 +117,8 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
   for (size_t i = 0; i < out.size(); ++i) {
     Tensor tensor{{out[i]->dtype, out[i]->shape}, {}};
     const std::span<uint8_t> mapped = buffers[in.size() + i].mapped();
-    tensor.bytes.assign(mapped.begin(), mapped.begin() + static_cast<std::ptrdiff_t>(out[i]->size_bytes));
+    tensor.bytes.assign(mapped.begin(),
+                        mapped.begin() + static_cast<std::ptrdiff_t>(out[i]->size_bytes));
     outputs.push_back(std::move(tensor));
   }
   return outputs;
@@ -129,7 +135,8 @@ std::optional<std::string> first_difference(const Tensor& found, const Tensor& e
       at[axis] = rest % expected.type.shape[axis];
       rest /= expected.type.shape[axis];
     }
-    return fmt::format("element {} at {}: found {}, expected {}", i, shape_text(at), found.get(i), expected.get(i));
+    return fmt::format("element {} at {}: found {}, expected {}", i, shape_text(at), found.get(i),
+                       expected.get(i));
   }
   return std::nullopt;
 }

@@ -37,7 +37,9 @@ class ToolDevice {
   /// Writes the pipeline cache if there is a file for it, and reports what validation said.
   /// Errors: kDevice with the first validation message, kIo.
   Result<void> close();
-  std::vector<std::string> take_validation_messages() { return instance_->take_validation_messages(); }
+  std::vector<std::string> take_validation_messages() {
+    return instance_->take_validation_messages();
+  }
 
  private:
   std::unique_ptr<vk::Instance> instance_;
@@ -45,9 +47,9 @@ class ToolDevice {
   std::unique_ptr<vk::PipelineCache> cache_;  ///< null without a file for it
 };
 
-/// Runs the package's graph `repeat` times on the inputs, in the order of the graph; returns the outputs of
-/// the last run. With `times`, the median over the runs of each dispatch.
-/// Errors: kBadInput if inputs do not match the package, kDevice.
+/// Runs the package's graph `repeat` times on the inputs, in the order of the graph; returns the
+/// outputs of the last run. With `times`, the median over the runs of each dispatch. Errors:
+/// kBadInput if inputs do not match the package, kDevice.
 Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
                                         const std::vector<Tensor>& inputs, uint32_t repeat = 1,
                                         std::vector<DispatchTime>* times = nullptr);

@@ -1,4 +1,5 @@
-// shale doctor: which devices there are, what they can do, which kernels they will get, what is missing.
+// shale doctor: which devices there are, what they can do, which kernels they will get, what is
+// missing.
 #include "compiler/target/profile.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/instance.h"
@@ -8,13 +9,15 @@ namespace shale {
 namespace {
 
 std::string version(uint32_t number) {
-  return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(number), VK_API_VERSION_MINOR(number), VK_API_VERSION_PATCH(number));
+  return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(number), VK_API_VERSION_MINOR(number),
+                     VK_API_VERSION_PATCH(number));
 }
 
 /// What the generic kernels of every network need; without it no package runs.
 std::vector<std::string> lacking(const DeviceCaps& caps) {
   Requirements needs;
-  for (const Feature feature : {Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8, Feature::kInt16})
+  for (const Feature feature :
+       {Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8, Feature::kInt16})
     needs.features.add(feature);
   return missing(caps, needs);
 }
@@ -35,20 +38,27 @@ Json describe(const DeviceCaps& caps) {
           {"storage_range_bytes", caps.max_storage_range_bytes},
           {"texel_elements", caps.max_texel_elements},
           {"target", target},
-          {"kernels", caps.cpu ? Json{"conv2d_s8_f32exact", "conv2d_s8_i32", "generic"} : Json{"generic"}},
+          {"kernels",
+           caps.cpu ? Json{"conv2d_s8_f32exact", "conv2d_s8_i32", "generic"} : Json{"generic"}},
           {"missing", lacking(caps)}};
 }
 
 void print(const Json& device) {
-  fmt::print("{} ({}, Vulkan {})\n  driver: {}\n", device["name"].get<std::string>(), device["kind"].get<std::string>(),
-             device["vulkan"].get<std::string>(), device["driver"].get<std::string>());
-  for (const auto& [name, present] : device["features"].items()) fmt::print("  {:<28} {}\n", name, present.get<bool>() ? "yes" : "no");
-  fmt::print("  workgroup: {} invocations, subgroup {}, {} bytes shared\n", device["max_workgroup_invocations"].get<uint32_t>(),
+  fmt::print("{} ({}, Vulkan {})\n  driver: {}\n", device["name"].get<std::string>(),
+             device["kind"].get<std::string>(), device["vulkan"].get<std::string>(),
+             device["driver"].get<std::string>());
+  for (const auto& [name, present] : device["features"].items())
+    fmt::print("  {:<28} {}\n", name, present.get<bool>() ? "yes" : "no");
+  fmt::print("  workgroup: {} invocations, subgroup {}, {} bytes shared\n",
+             device["max_workgroup_invocations"].get<uint32_t>(),
              device["subgroup_size"].get<uint32_t>(), device["shared_bytes"].get<uint32_t>());
   std::string kernels;
-  for (const Json& kernel : device["kernels"]) kernels += (kernels.empty() ? "" : ", ") + kernel.get<std::string>();
-  fmt::print("  compile with --target {}: kernels {}\n", device["target"].get<std::string>(), kernels);
-  for (const Json& line : device["missing"]) fmt::print("  cannot run networks: {}\n", line.get<std::string>());
+  for (const Json& kernel : device["kernels"])
+    kernels += (kernels.empty() ? "" : ", ") + kernel.get<std::string>();
+  fmt::print("  compile with --target {}: kernels {}\n", device["target"].get<std::string>(),
+             kernels);
+  for (const Json& line : device["missing"])
+    fmt::print("  cannot run networks: {}\n", line.get<std::string>());
 }
 
 Result<int> doctor(bool as_json) {
@@ -64,10 +74,14 @@ Result<int> doctor(bool as_json) {
       json["devices"].push_back(describe(caps));
       if (lacking(caps).empty()) exit = kDone;
     }
-    if (const Result<vk::Instance> validated = vk::Instance::create({.validation = true}); !validated)
-      json["advice"].push_back("the validation layer is missing: apt-get install vulkan-validationlayers");
+    if (const Result<vk::Instance> validated = vk::Instance::create({.validation = true});
+        !validated)
+      json["advice"].push_back(
+          "the validation layer is missing: apt-get install vulkan-validationlayers");
   }
-  if (exit != kDone) json["advice"].push_back("no usable device: apt-get install mesa-vulkan-drivers brings one that runs on the CPU");
+  if (exit != kDone)
+    json["advice"].push_back(
+        "no usable device: apt-get install mesa-vulkan-drivers brings one that runs on the CPU");
   if (as_json) {
     print_json(json);
     return exit;

@@ -12,14 +12,17 @@ constexpr Command kCommands[] = {
 #include "tools/shale/commands.def"
 };
 
-int exit_code(const Error& error) { return error.code == ErrorCode::kDevice ? kNoDevice : kRefused; }
+int exit_code(const Error& error) {
+  return error.code == ErrorCode::kDevice ? kNoDevice : kRefused;
+}
 
 int main_with(int argc, char** argv) {
   CLI::App app{"Shale: trained INT8 networks, given as TOSA graphs, on any Vulkan 1.3 device"};
   app.set_version_flag("--version", kVersionText);
   app.require_subcommand(1);
-  app.footer("Example: shale compile models/srpo_x2 --input-shape input=1,540,960,3 -o srpo.shale\n"
-             "Exit codes: 0 done, 1 refused input or failed check, 2 usage, 3 no usable device");
+  app.footer(
+      "Example: shale compile models/srpo_x2 --input-shape input=1,540,960,3 -o srpo.shale\n"
+      "Exit codes: 0 done, 1 refused input or failed check, 2 usage, 3 no usable device");
   std::vector<Action> actions;
   for (const Command& command : kCommands)
     actions.push_back(command.add(*app.add_subcommand(command.name, command.help)));

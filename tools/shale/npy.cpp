@@ -50,32 +50,37 @@ Result<Shape> parse_shape(const std::string& path, std::string_view text) {
 
 Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
   SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-  if (bytes.size() < 12 || !std::equal(kMagic.begin(), kMagic.end(), bytes.begin(),
-                                       [](char a, uint8_t b) { return static_cast<uint8_t>(a) == b; }))
+  if (bytes.size() < 12 ||
+      !std::equal(kMagic.begin(), kMagic.end(), bytes.begin(),
+                  [](char a, uint8_t b) { return static_cast<uint8_t>(a) == b; }))
     return bad_input(path, "is no npy file");
   const bool long_header = bytes[6] >= 2;
   size_t header_size = bytes[8] | (bytes[9] << 8);
-  if (long_header) header_size |= (static_cast<size_t>(bytes[10]) << 16) | (static_cast<size_t>(bytes[11]) << 24);
+  if (long_header)
+    header_size |= (static_cast<size_t>(bytes[10]) << 16) | (static_cast<size_t>(bytes[11]) << 24);
   const size_t header_at = long_header ? 12 : 10;
   if (bytes.size() - header_at < header_size)
     return bad_input(path, "the npy header of {} bytes is cut off", header_size);
-  const std::string_view header(reinterpret_cast<const char*>(bytes.data()) + header_at, header_size);
+  const std::string_view header(reinterpret_cast<const char*>(bytes.data()) + header_at,
+                                header_size);
   const std::string_view descr = field(header, "descr");
   const std::string wanted = fmt::format("'{}'", descr_of(type.dtype));
   if (!descr.starts_with(wanted))
-    return bad_input(path, "found element type {}, expected {} for {}", descr.substr(0, descr.find(',')),
-                     wanted, dtype_info(type.dtype).wire);
+    return bad_input(path, "found element type {}, expected {} for {}",
+                     descr.substr(0, descr.find(',')), wanted, dtype_info(type.dtype).wire);
   if (!field(header, "fortran_order").starts_with("False"))
     return bad_input(path, "is in Fortran order, expected C order");
   SHALE_TRY(const Shape shape, parse_shape(path, field(header, "shape")));
   if (shape != type.shape)
-    return bad_input(path, "found shape {}, expected {}", shape_text(shape), shape_text(type.shape));
+    return bad_input(path, "found shape {}, expected {}", shape_text(shape),
+                     shape_text(type.shape));
   const std::optional<int64_t> count = element_count(shape);
   if (!count) return bad_input(path, "shape {} is not supported", shape_text(shape));
   Tensor tensor{type, {}};
   const size_t size = static_cast<size_t>(*count * tensor.host_bytes());
   if (bytes.size() - header_at - header_size < size)
-    return bad_input(path, "found {} bytes of data, expected {}", bytes.size() - header_at - header_size, size);
+    return bad_input(path, "found {} bytes of data, expected {}",
+                     bytes.size() - header_at - header_size, size);
   const auto data = bytes.begin() + static_cast<std::ptrdiff_t>(header_at + header_size);
   tensor.bytes.assign(data, data + static_cast<std::ptrdiff_t>(size));
   return tensor;
@@ -89,7 +94,8 @@ Result<void> write_npy(const std::string& path, const Tensor& tensor) {
   header.append(63 - (10 + header.size()) % 64, ' ');
   header += '\n';
   std::string file(kMagic);
-  file += {'\x01', '\x00', static_cast<char>(header.size() & 255), static_cast<char>(header.size() >> 8)};
+  file += {'\x01', '\x00', static_cast<char>(header.size() & 255),
+           static_cast<char>(header.size() >> 8)};
   file += header;
   file.append(reinterpret_cast<const char*>(tensor.bytes.data()), tensor.bytes.size());
   return write_text(path, file);

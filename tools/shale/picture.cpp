@@ -37,7 +37,8 @@ std::vector<Taps> lanczos_taps(uint32_t from, uint32_t to) {
     const int first = static_cast<int>(std::floor(centre)) - kLobes + 1;
     double sum = 0;
     for (int t = 0; t < 2 * kLobes; ++t) {
-      taps[o].position[t] = static_cast<uint32_t>(std::clamp(first + t, 0, static_cast<int>(from) - 1));
+      taps[o].position[t] =
+          static_cast<uint32_t>(std::clamp(first + t, 0, static_cast<int>(from) - 1));
       taps[o].weight[t] = lanczos(centre - (first + t));
       sum += taps[o].weight[t];
     }
@@ -59,7 +60,9 @@ void draw_text(Picture& picture, const std::string& text, uint32_t x, uint32_t y
   for (int quad = 0; quad < quads; ++quad) {
     const Vertex& low = vertices[static_cast<size_t>(quad) * 4];
     const Vertex& high = vertices[static_cast<size_t>(quad) * 4 + 2];
-    const auto scaled = [&](float v, uint32_t offset) { return offset + static_cast<uint32_t>(v) * zoom; };
+    const auto scaled = [&](float v, uint32_t offset) {
+      return offset + static_cast<uint32_t>(v) * zoom;
+    };
     for (uint32_t py = scaled(low.y, y); py < std::min(scaled(high.y, y), picture.height); ++py)
       for (uint32_t px = scaled(low.x, x); px < std::min(scaled(high.x, x), picture.width); ++px)
         std::fill_n(picture.at(px, py), 4, uint8_t{255});
@@ -76,7 +79,8 @@ Picture Picture::filled(uint32_t width, uint32_t height, uint8_t grey) {
 
 Result<Picture> load_picture(const std::string& path) {
   SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-  const int size = static_cast<int>(std::min<size_t>(bytes.size(), std::numeric_limits<int>::max()));
+  const int size =
+      static_cast<int>(std::min<size_t>(bytes.size(), std::numeric_limits<int>::max()));
   int width = 0, height = 0, channels = 0;
   if (stbi_info_from_memory(bytes.data(), size, &width, &height, &channels) == 0)
     return bad_input(path, "is no picture: {}", stbi_failure_reason());
@@ -85,7 +89,8 @@ Result<Picture> load_picture(const std::string& path) {
   stbi_uc* const pixels = stbi_load_from_memory(bytes.data(), size, &width, &height, &channels, 4);
   if (!pixels) return bad_input(path, "cannot be decoded: {}", stbi_failure_reason());
   Picture picture{static_cast<uint32_t>(width), static_cast<uint32_t>(height), {}};
-  picture.rgba.assign(pixels, pixels + static_cast<size_t>(width) * static_cast<size_t>(height) * 4);
+  picture.rgba.assign(pixels,
+                      pixels + static_cast<size_t>(width) * static_cast<size_t>(height) * 4);
   stbi_image_free(pixels);
   return picture;
 }
@@ -97,8 +102,9 @@ Result<void> save_png(const std::string& path, const Picture& picture) {
     const auto* const from = static_cast<const uint8_t*>(data);
     to->insert(to->end(), from, from + size);
   };
-  if (stbi_write_png_to_func(append, &bytes, static_cast<int>(picture.width), static_cast<int>(picture.height), 4,
-                             picture.rgba.data(), static_cast<int>(picture.width * 4)) == 0)
+  if (stbi_write_png_to_func(append, &bytes, static_cast<int>(picture.width),
+                             static_cast<int>(picture.height), 4, picture.rgba.data(),
+                             static_cast<int>(picture.width * 4)) == 0)
     return io_error(path, "the picture cannot be encoded");
   return write_file(path, bytes);
 }
@@ -114,13 +120,15 @@ Picture upscale_nearest(const Picture& picture, uint32_t width, uint32_t height)
 }
 
 Picture upscale_lanczos(const Picture& picture, uint32_t width, uint32_t height) {
-  const std::vector<Taps> columns = lanczos_taps(picture.width, width), rows = lanczos_taps(picture.height, height);
+  const std::vector<Taps> columns = lanczos_taps(picture.width, width),
+                          rows = lanczos_taps(picture.height, height);
   std::vector<double> wide(size_t{width} * picture.height * 3);
   for (uint32_t y = 0; y < picture.height; ++y)
     for (uint32_t x = 0; x < width; ++x)
       for (uint32_t c = 0; c < 3; ++c)
         for (int t = 0; t < 2 * kLobes; ++t)
-          wide[(size_t{y} * width + x) * 3 + c] += columns[x].weight[t] * picture.at(columns[x].position[t], y)[c];
+          wide[(size_t{y} * width + x) * 3 + c] +=
+              columns[x].weight[t] * picture.at(columns[x].position[t], y)[c];
   Picture result = Picture::filled(width, height, 0);
   for (uint32_t y = 0; y < height; ++y)
     for (uint32_t x = 0; x < width; ++x)
@@ -133,11 +141,13 @@ Picture upscale_lanczos(const Picture& picture, uint32_t width, uint32_t height)
   return result;
 }
 
-Picture magnify(const Picture& picture, uint32_t x, uint32_t y, uint32_t width, uint32_t height, uint32_t zoom) {
+Picture magnify(const Picture& picture, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
+                uint32_t zoom) {
   Picture result = Picture::filled(width * zoom, height * zoom, 0);
   for (uint32_t oy = 0; oy < result.height; ++oy)
     for (uint32_t ox = 0; ox < result.width; ++ox)
-      std::copy_n(picture.at(std::min(x + ox / zoom, picture.width - 1), std::min(y + oy / zoom, picture.height - 1)),
+      std::copy_n(picture.at(std::min(x + ox / zoom, picture.width - 1),
+                             std::min(y + oy / zoom, picture.height - 1)),
                   4, result.at(ox, oy));
   return result;
 }
@@ -150,9 +160,11 @@ Picture side_by_side(const std::vector<Panel>& panels, uint32_t columns) {
     height = std::max(height, panel.picture.height);
   }
   const uint32_t rows = (static_cast<uint32_t>(panels.size()) + columns - 1) / columns;
-  Picture result = Picture::filled(columns * (width + kGap) + kGap, rows * (height + kLabel + kGap), 48);
+  Picture result =
+      Picture::filled(columns * (width + kGap) + kGap, rows * (height + kLabel + kGap), 48);
   for (uint32_t i = 0; i < panels.size(); ++i) {
-    const uint32_t left = kGap + i % columns * (width + kGap), top = i / columns * (height + kLabel + kGap);
+    const uint32_t left = kGap + i % columns * (width + kGap),
+                   top = i / columns * (height + kLabel + kGap);
     draw_text(result, panels[i].label, left, top + 6, kZoom);
     const Picture& picture = panels[i].picture;
     for (uint32_t y = 0; y < picture.height; ++y)
@@ -169,7 +181,8 @@ double psnr_db(const Picture& a, const Picture& b) {
     sum += difference * difference;
   }
   const double mean = sum / (static_cast<double>(a.width) * a.height * 3);
-  return mean == 0 ? std::numeric_limits<double>::infinity() : 10 * std::log10(255.0 * 255.0 / mean);
+  return mean == 0 ? std::numeric_limits<double>::infinity()
+                   : 10 * std::log10(255.0 * 255.0 / mean);
 }
 
 }  // namespace shale

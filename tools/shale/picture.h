@@ -31,7 +31,8 @@ Picture upscale_nearest(const Picture& picture, uint32_t width, uint32_t height)
 Picture upscale_lanczos(const Picture& picture, uint32_t width, uint32_t height);
 
 /// The part of `picture` from (x, y), each pixel `zoom` times as wide and high.
-Picture magnify(const Picture& picture, uint32_t x, uint32_t y, uint32_t width, uint32_t height, uint32_t zoom);
+Picture magnify(const Picture& picture, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
+                uint32_t zoom);
 
 struct Panel {
   std::string label;
@@ -41,7 +42,8 @@ struct Panel {
 /// Panels in rows of `columns`, each under its label, on grey.
 Picture side_by_side(const std::vector<Panel>& panels, uint32_t columns);
 
-/// Peak signal-to-noise ratio of RGB in dB, peak 255; infinite for equal pictures. Sizes must be equal.
+/// Peak signal-to-noise ratio of RGB in dB, peak 255; infinite for equal pictures. Sizes must be
+/// equal.
 double psnr_db(const Picture& a, const Picture& b);
 
 }  // namespace shale

@@ -39,7 +39,9 @@ std::string per_pixel_text(double count) {
 std::string percent_text(double share) { return fmt::format("{:.1f} %", 100 * share); }
 
 Json verdict_json(const Verdict& verdict, const Budget& budget) {
-  const auto finite = [](double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); };
+  const auto finite = [](double value) {
+    return std::isfinite(value) ? Json(value) : Json(nullptr);
+  };
   return {{"frame_ms", budget.frame_ms},
           {"passes_ms", budget.passes_ms},
           {"tops", budget.tops},
@@ -54,21 +56,24 @@ Json verdict_json(const Verdict& verdict, const Budget& budget) {
 
 void print_verdict(const Verdict& verdict, const Budget& budget, double gop) {
   const double left_ms = budget.frame_ms - budget.passes_ms;
-  fmt::print("  budget: {} ms a frame less {} ms of passes leave {:.2f} ms, {:.2f} GOP at {} TOP/s\n", budget.frame_ms,
-             budget.passes_ms, left_ms, verdict.available_gop, budget.tops);
+  fmt::print(
+      "  budget: {} ms a frame less {} ms of passes leave {:.2f} ms, {:.2f} GOP at {} TOP/s\n",
+      budget.frame_ms, budget.passes_ms, left_ms, verdict.available_gop, budget.tops);
   if (left_ms <= 0) {
     fmt::print("    no time is left for the network: it does not fit\n");
     return;
   }
   fmt::print("    {:.3f} GOP need {} efficiency; at {} they take {:.2f} ms: {:.2f} ms {}\n", gop,
-             percent_text(verdict.required_efficiency), percent_text(budget.efficiency), verdict.network_ms,
-             std::abs(verdict.headroom_ms), verdict.fits ? "to spare, it fits" : "too slow, it does not fit");
+             percent_text(verdict.required_efficiency), percent_text(budget.efficiency),
+             verdict.network_ms, std::abs(verdict.headroom_ms),
+             verdict.fits ? "to spare, it fits" : "too slow, it does not fit");
 }
 
 // A graph.
 
 struct GraphReport {
-  std::string input;  ///< name and type of the input that pixels are counted on; empty without an NHWC input
+  std::string input;  ///< name and type of the input that pixels are counted on; empty without an
+                      ///< NHWC input
   uint64_t pixels = 0;
   uint64_t counter_operations = 0;
   OpCost total;
@@ -101,8 +106,12 @@ GraphReport cost_of_graph(const Graph& graph) {
 double giga(uint64_t count) { return 1e-9 * static_cast<double>(count); }
 
 Json op_json(const OpCost& cost) {
-  return {{"nodes", cost.nodes}, {"parameters", cost.parameters},  {"macs", cost.macs},
-          {"ops", cost.ops},     {"bytes_read", cost.bytes_read}, {"bytes_written", cost.bytes_written}};
+  return {{"nodes", cost.nodes},
+          {"parameters", cost.parameters},
+          {"macs", cost.macs},
+          {"ops", cost.ops},
+          {"bytes_read", cost.bytes_read},
+          {"bytes_written", cost.bytes_written}};
 }
 
 Json graph_json(const GraphReport& report, const Arguments& arguments) {
@@ -116,7 +125,8 @@ Json graph_json(const GraphReport& report, const Arguments& arguments) {
     const double pixels = static_cast<double>(report.pixels);
     json["macs_per_pixel"] = static_cast<double>(report.total.macs) / pixels;
     if (arguments.convention == "counter_a")
-      json["counter_operations_per_pixel"] = static_cast<double>(report.counter_operations) / pixels;
+      json["counter_operations_per_pixel"] =
+          static_cast<double>(report.counter_operations) / pixels;
   }
   for (const auto& [name, cost] : report.operators) json["operators"][name] = op_json(cost);
   json["budget"] = verdict_json(verdict, arguments.budget);
@@ -125,27 +135,36 @@ Json graph_json(const GraphReport& report, const Arguments& arguments) {
 
 void print_count(const char* label, uint64_t count, uint64_t pixels, const std::string& more) {
   const std::string per_pixel =
-      pixels > 0 ? per_pixel_text(static_cast<double>(count) / static_cast<double>(pixels)) + " per input pixel" : "";
-  fmt::print("  {:<12}{:>20}{}{}\n", label, grouped(count), per_pixel.empty() ? "" : "   " + per_pixel, more);
+      pixels > 0 ? per_pixel_text(static_cast<double>(count) / static_cast<double>(pixels)) +
+                       " per input pixel"
+                 : "";
+  fmt::print("  {:<12}{:>20}{}{}\n", label, grouped(count),
+             per_pixel.empty() ? "" : "   " + per_pixel, more);
 }
 
 void print_graph(const GraphReport& report, const Arguments& arguments) {
-  if (!report.input.empty()) fmt::print("  {:<12}{:>20}   {} pixels\n", "input", report.input, grouped(report.pixels));
+  if (!report.input.empty())
+    fmt::print("  {:<12}{:>20}   {} pixels\n", "input", report.input, grouped(report.pixels));
   print_count("parameters", report.total.parameters, 0, "");
-  print_count("MACs", report.total.macs, report.pixels, fmt::format("   {:.3f} GOP", 2 * giga(report.total.macs)));
+  print_count("MACs", report.total.macs, report.pixels,
+              fmt::format("   {:.3f} GOP", 2 * giga(report.total.macs)));
   if (arguments.convention == "counter_a")
-    print_count("counter_A", report.counter_operations, report.pixels, fmt::format("   {:.3f} G", giga(report.counter_operations)));
-  print_count("bytes moved", report.total.bytes_read + report.total.bytes_written, 0, "   each operator on its own, nothing fused");
-  fmt::print("\n  {:<18}{:>6}{:>12}{:>16}{:>16}{:>15}{:>15}\n", "operator", "nodes", "parameters", "MACs", "other ops", "bytes read",
-             "bytes written");
+    print_count("counter_A", report.counter_operations, report.pixels,
+                fmt::format("   {:.3f} G", giga(report.counter_operations)));
+  print_count("bytes moved", report.total.bytes_read + report.total.bytes_written, 0,
+              "   each operator on its own, nothing fused");
+  fmt::print("\n  {:<18}{:>6}{:>12}{:>16}{:>16}{:>15}{:>15}\n", "operator", "nodes", "parameters",
+             "MACs", "other ops", "bytes read", "bytes written");
   const auto line = [](const std::string& name, const OpCost& cost) {
-    fmt::print("  {:<18}{:>6}{:>12}{:>16}{:>16}{:>15}{:>15}\n", name, cost.nodes, grouped(cost.parameters), grouped(cost.macs),
-               grouped(cost.ops), grouped(cost.bytes_read), grouped(cost.bytes_written));
+    fmt::print("  {:<18}{:>6}{:>12}{:>16}{:>16}{:>15}{:>15}\n", name, cost.nodes,
+               grouped(cost.parameters), grouped(cost.macs), grouped(cost.ops),
+               grouped(cost.bytes_read), grouped(cost.bytes_written));
   };
   for (const auto& [name, cost] : report.operators) line(name, cost);
   line("total", report.total);
   fmt::print("\n");
-  print_verdict(judge(report.total.macs, arguments.budget), arguments.budget, 2 * giga(report.total.macs));
+  print_verdict(judge(report.total.macs, arguments.budget), arguments.budget,
+                2 * giga(report.total.macs));
 }
 
 // A package.
@@ -155,7 +174,8 @@ Result<std::map<std::string, double>> read_measured(const std::string& path) {
   SHALE_TRY(const std::string text, read_text(path));
   const Json json = Json::parse(text, nullptr, false);
   const Error error = bad_input(path, "is no profile; shale run --profile-to writes one");
-  if (!json.is_object() || !json.contains("dispatches") || !json["dispatches"].is_array()) return error;
+  if (!json.is_object() || !json.contains("dispatches") || !json["dispatches"].is_array())
+    return error;
   std::map<std::string, double> times;
   for (const Json& entry : json["dispatches"]) {
     if (!entry.is_object() || !entry.contains("name") || !entry["name"].is_string()) return error;
@@ -163,7 +183,8 @@ Result<std::map<std::string, double>> read_measured(const std::string& path) {
     const bool has_time = entry.contains("time_us") && entry["time_us"].is_number();
     const double time_us = has_time ? entry["time_us"].get<double>() : -1;
     if (!(time_us >= 0)) return bad_input(path, "dispatch \"{}\" has no \"time_us\"", name);
-    if (!times.emplace(name, time_us).second) return bad_input(path, "dispatch \"{}\" is named twice", name);
+    if (!times.emplace(name, time_us).second)
+      return bad_input(path, "dispatch \"{}\" is named twice", name);
   }
   return times;
 }
@@ -185,19 +206,23 @@ struct PackageReport {
   std::vector<DispatchReport> dispatches;
   std::vector<std::string> unknown;  ///< measured, but not in the package
   Cost total;
-  uint64_t network_macs = 0;         ///< without the passes around the network
+  uint64_t network_macs = 0;              ///< without the passes around the network
   size_t joined = 0;                      ///< dispatches that have both times
   double joined_us = 0, measured_us = 0;  ///< predicted and measured, of those
 };
 
 Result<PackageReport> cost_of_package(const Package& package, const Arguments& arguments) {
   if (arguments.variant >= package.variants.size())
-    return bad_input("--variant", "found {}, the package has {}", arguments.variant, package.variants.size());
+    return bad_input("--variant", "found {}, the package has {}", arguments.variant,
+                     package.variants.size());
   std::map<std::string, double> measured;
   if (!arguments.measured.empty()) {
     SHALE_TRY(measured, read_measured(arguments.measured));
   }
-  PackageReport report{.variant = &package.variants[arguments.variant], .dispatches = {}, .unknown = {}, .total = {}};
+  PackageReport report{.variant = &package.variants[arguments.variant],
+                       .dispatches = {},
+                       .unknown = {},
+                       .total = {}};
   for (const Segment& segment : report.variant->segments) {
     for (const Dispatch& dispatch : segment.dispatches) {
       DispatchReport row{&segment, &dispatch, std::nullopt};
@@ -218,7 +243,8 @@ Result<PackageReport> cost_of_package(const Package& package, const Arguments& a
     }
   }
   if (!arguments.measured.empty() && report.joined == 0)
-    return bad_input(arguments.measured, "names no dispatch of this package; was it measured with another one?");
+    return bad_input(arguments.measured,
+                     "names no dispatch of this package; was it measured with another one?");
   for (const auto& [name, time_us] : measured) report.unknown.push_back(name);
   return report;
 }
@@ -231,13 +257,17 @@ Json package_json(const PackageReport& report, const Arguments& arguments) {
             {"bytes_written", cost.bytes_written},
             {"time_us", cost.time_us}};
   };
-  Json json{{"variant", arguments.variant}, {"target", report.variant->target}, {"arena_bytes", report.variant->arena_bytes}};
+  Json json{{"variant", arguments.variant},
+            {"target", report.variant->target},
+            {"arena_bytes", report.variant->arena_bytes}};
   json.update(cost_json(report.total));
   json["network_macs"] = report.network_macs;
   json["gop"] = 2 * giga(report.network_macs);
   json["dispatches"] = Json::array();
   for (const DispatchReport& row : report.dispatches) {
-    Json entry{{"name", row.dispatch->name}, {"segment", row.segment->name}, {"kernel", row.dispatch->kernel}};
+    Json entry{{"name", row.dispatch->name},
+               {"segment", row.segment->name},
+               {"kernel", row.dispatch->kernel}};
     entry.update(cost_json(row.dispatch->cost));
     if (row.measured_us) entry["measured_us"] = *row.measured_us;
     if (row.ratio()) entry["ratio"] = *row.ratio();
@@ -252,15 +282,19 @@ Json package_json(const PackageReport& report, const Arguments& arguments) {
   return json;
 }
 
-void print_package(const PackageReport& report, const Package& package, const Arguments& arguments) {
+void print_package(const PackageReport& report, const Package& package,
+                   const Arguments& arguments) {
   const bool measured = !arguments.measured.empty();
-  fmt::print("  variant {} of {}, for {}; arena {} bytes\n\n", arguments.variant, package.variants.size(), report.variant->target,
-             grouped(report.variant->arena_bytes));
+  fmt::print("  variant {} of {}, for {}; arena {} bytes\n\n", arguments.variant,
+             package.variants.size(), report.variant->target, grouped(report.variant->arena_bytes));
   const std::string heads = measured ? fmt::format("{:>12}{:>8}", "measured", "ratio") : "";
-  fmt::print("  {:>16}{:>15}{:>15}{:>12}{}  {:<22} {}\n", "MACs", "bytes read", "bytes written", "time us", heads, "kernel", "dispatch");
-  const auto line = [](const Cost& cost, const std::string& times, const std::string& kernel, const std::string& name) {
-    fmt::print("  {:>16}{:>15}{:>15}{:>12.1f}{}  {:<22} {}\n", grouped(cost.macs), grouped(cost.bytes_read),
-               grouped(cost.bytes_written), cost.time_us, times, kernel, name);
+  fmt::print("  {:>16}{:>15}{:>15}{:>12}{}  {:<22} {}\n", "MACs", "bytes read", "bytes written",
+             "time us", heads, "kernel", "dispatch");
+  const auto line = [](const Cost& cost, const std::string& times, const std::string& kernel,
+                       const std::string& name) {
+    fmt::print("  {:>16}{:>15}{:>15}{:>12.1f}{}  {:<22} {}\n", grouped(cost.macs),
+               grouped(cost.bytes_read), grouped(cost.bytes_written), cost.time_us, times, kernel,
+               name);
   };
   const auto times_text = [&](std::optional<double> measured_us, std::optional<double> ratio) {
     if (!measured) return std::string();
@@ -268,20 +302,25 @@ void print_package(const PackageReport& report, const Package& package, const Ar
                        ratio ? fmt::format("{:.2f}", *ratio) : "-");
   };
   for (const DispatchReport& row : report.dispatches)
-    line(row.dispatch->cost, times_text(row.measured_us, row.ratio()), row.dispatch->kernel, row.dispatch->name);
+    line(row.dispatch->cost, times_text(row.measured_us, row.ratio()), row.dispatch->kernel,
+         row.dispatch->name);
   const std::optional<double> ratio =
       report.measured_us > 0 ? std::optional(report.joined_us / report.measured_us) : std::nullopt;
   line(report.total, times_text(report.measured_us, ratio), "", "total");
   if (measured && report.joined < report.dispatches.size())
-    fmt::print("  {} of {} dispatches were measured; the last ratio is theirs\n", report.joined, report.dispatches.size());
-  for (const std::string& name : report.unknown) fmt::print("  measured, but not in the package: {}\n", name);
+    fmt::print("  {} of {} dispatches were measured; the last ratio is theirs\n", report.joined,
+               report.dispatches.size());
+  for (const std::string& name : report.unknown)
+    fmt::print("  measured, but not in the package: {}\n", name);
   fmt::print("\n");
-  print_verdict(judge(report.network_macs, arguments.budget), arguments.budget, 2 * giga(report.network_macs));
+  print_verdict(judge(report.network_macs, arguments.budget), arguments.budget,
+                2 * giga(report.network_macs));
 }
 
 // Files.
 
-Result<Json> report_package(const std::string& path, std::span<const uint8_t> bytes, const Arguments& arguments) {
+Result<Json> report_package(const std::string& path, std::span<const uint8_t> bytes,
+                            const Arguments& arguments) {
   SHALE_TRY(const Package package, read_package(bytes));
   SHALE_TRY(const PackageReport report, cost_of_package(package, arguments));
   if (!arguments.json) {
@@ -291,7 +330,8 @@ Result<Json> report_package(const std::string& path, std::span<const uint8_t> by
   return package_json(report, arguments);
 }
 
-Result<Json> report_model(const std::string& path, std::span<const uint8_t> bytes, const Arguments& arguments) {
+Result<Json> report_model(const std::string& path, std::span<const uint8_t> bytes,
+                          const Arguments& arguments) {
   SHALE_TRY(Graph graph, import_model(bytes));
   PassContext context;
   for (const std::string& text : arguments.input_shapes) {
@@ -310,18 +350,23 @@ Result<Json> report_model(const std::string& path, std::span<const uint8_t> byte
 
 Result<int> report_files(const Arguments& arguments) {
   if (!arguments.measured.empty() && arguments.files.size() > 1)
-    return bad_input("--measured", "belongs to one package, found {} files", arguments.files.size());
+    return bad_input("--measured", "belongs to one package, found {} files",
+                     arguments.files.size());
   Json json = Json::array();
   for (size_t i = 0; i < arguments.files.size(); ++i) {
     const std::string& path = arguments.files[i];
     if (i > 0 && !arguments.json) fmt::print("\n");
     std::error_code ignored;
-    const std::string file = fs::is_directory(path, ignored) ? (fs::path(path) / "model.tosa").string() : path;
+    const std::string file =
+        fs::is_directory(path, ignored) ? (fs::path(path) / "model.tosa").string() : path;
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(file));
     const bool packaged = is_package(bytes);
-    if (!packaged && !arguments.measured.empty()) return bad_input("--measured", "needs a package, {} is a model", file);
-    if (packaged && !arguments.input_shapes.empty()) return bad_input("--input-shape", "{} is a package, its shapes are fixed", file);
-    Result<Json> report = packaged ? report_package(path, bytes, arguments) : report_model(path, bytes, arguments);
+    if (!packaged && !arguments.measured.empty())
+      return bad_input("--measured", "needs a package, {} is a model", file);
+    if (packaged && !arguments.input_shapes.empty())
+      return bad_input("--input-shape", "{} is a package, its shapes are fixed", file);
+    Result<Json> report =
+        packaged ? report_package(path, bytes, arguments) : report_model(path, bytes, arguments);
     if (!report) return in_file(file, report.error());
     Json entry{{"file", path}, {"kind", packaged ? "package" : "model"}};
     entry.update(*report);
@@ -333,7 +378,9 @@ Result<int> report_files(const Arguments& arguments) {
 
 // Published tables.
 
-std::string convention_name(Convention convention) { return convention == Convention::kMac ? "mac" : "counter_A"; }
+std::string convention_name(Convention convention) {
+  return convention == Convention::kMac ? "mac" : "counter_A";
+}
 
 /// LR size of a row's figures; without one, that of a 1920x1080 result.
 std::pair<int64_t, int64_t> row_size(const CostRow& row) {
@@ -353,9 +400,10 @@ Json row_json(const CostRow& row) {
     return json;
   }
   const RowCheck check = check_row(row);
-  json["parameters"] = {{"computed", check.counts.parameters},
-                        {"stated", row.parameters_stated ? Json(row.parameters_stated->text) : Json(nullptr)},
-                        {"verdict", agreement_text(check.parameters)}};
+  json["parameters"] = {
+      {"computed", check.counts.parameters},
+      {"stated", row.parameters_stated ? Json(row.parameters_stated->text) : Json(nullptr)},
+      {"verdict", agreement_text(check.parameters)}};
   json["macs_per_lr_pixel"] = check.counts.macs();
   json["macs_per_lr_pixel_at_lr"] = check.counts.macs_lr;
   json["macs_per_lr_pixel_at_hr"] = check.counts.macs_hr;
@@ -374,13 +422,15 @@ Json row_json(const CostRow& row) {
 void print_row(const CostRow& row) {
   const RowCheck check = check_row(row);
   fmt::print("{:<20}{:>10}{:>9} {:<11}{:>12}{:>11}{:>11}", row.id, grouped(check.counts.parameters),
-             row.parameters_stated ? row.parameters_stated->text : "-", agreement_text(check.parameters),
-             per_pixel_text(check.counts.macs()), per_pixel_text(check.counts.macs_hr),
+             row.parameters_stated ? row.parameters_stated->text : "-",
+             agreement_text(check.parameters), per_pixel_text(check.counts.macs()),
+             per_pixel_text(check.counts.macs_hr),
              per_pixel_text(check.counts.counter_operations()));
   const std::string size = row.lr_h > 0 ? fmt::format("{}x{}", row.lr_w, row.lr_h) : "-";
-  fmt::print("{:>11}{:>11}{:>8}  {:<10} {}\n", size, row.lr_h > 0 ? fmt::format("{:.5f}", check.giga) : "-",
-             row.giga_stated ? fmt::format("{}", *row.giga_stated) : "-", agreement_text(check.giga_agreement),
-             convention_name(row.convention));
+  fmt::print("{:>11}{:>11}{:>8}  {:<10} {}\n", size,
+             row.lr_h > 0 ? fmt::format("{:.5f}", check.giga) : "-",
+             row.giga_stated ? fmt::format("{}", *row.giga_stated) : "-",
+             agreement_text(check.giga_agreement), convention_name(row.convention));
 }
 
 /// The network of one row as an INT8 graph, made for its cost alone.
@@ -403,7 +453,8 @@ Result<int> report_cost_table(const Arguments& arguments) {
   std::vector<CostRow> rows = *std::move(parsed);
   if (!arguments.row.empty()) {
     std::erase_if(rows, [&](const CostRow& row) { return row.id != arguments.row; });
-    if (rows.empty()) return bad_input("--row", "{} has no row \"{}\"", arguments.cost_table, arguments.row);
+    if (rows.empty())
+      return bad_input("--row", "{} has no row \"{}\"", arguments.cost_table, arguments.row);
   }
   uint64_t counted = 0, reproduced = 0, differ = 0, timings = 0;
   for (const CostRow& row : rows) {
@@ -423,27 +474,37 @@ Result<int> report_cost_table(const Arguments& arguments) {
   for (const CostRow& row : rows) json["rows"].push_back(row_json(row));
   if (!arguments.json) {
     if (counted > 0)
-      fmt::print("{:<20}{:>10}{:>9} {:<11}{:>12}{:>11}{:>11}{:>11}{:>11}{:>8}  {:<10} {}\n", "row", "params", "stated", "", "MAC/LR px",
-                 "at HR", "ctr_A/px", "LR size", "G computed", "stated", "", "convention");
+      fmt::print("{:<20}{:>10}{:>9} {:<11}{:>12}{:>11}{:>11}{:>11}{:>11}{:>8}  {:<10} {}\n", "row",
+                 "params", "stated", "", "MAC/LR px", "at HR", "ctr_A/px", "LR size", "G computed",
+                 "stated", "", "convention");
     for (const CostRow& row : rows)
       if (!row.layers.empty()) print_row(row);
     for (const CostRow& row : rows)
-      if (row.layers.empty()) fmt::print("{}: {}\n", row.id, row.is_timing() ? "timing, not computed by counting" : "no layers to count");
-    fmt::print("{} networks counted: {} stated figures reproduced, {} differ; {} timings\n", counted, reproduced, differ, timings);
+      if (row.layers.empty())
+        fmt::print("{}: {}\n", row.id,
+                   row.is_timing() ? "timing, not computed by counting" : "no layers to count");
+    fmt::print("{} networks counted: {} stated figures reproduced, {} differ; {} timings\n",
+               counted, reproduced, differ, timings);
   }
   if (!arguments.row.empty() && counted > 0) {
     const Result<Json> graph = report_row_graph(rows.front(), arguments);
-    if (graph) json["graph"] = *graph;
-    else if (arguments.json) json["graph_error"] = graph.error().text();
-    else fmt::print("no INT8 graph: {}\n", graph.error().text());
+    if (graph)
+      json["graph"] = *graph;
+    else if (arguments.json)
+      json["graph_error"] = graph.error().text();
+    else
+      fmt::print("no INT8 graph: {}\n", graph.error().text());
   }
   if (arguments.json) print_json(json);
   return exit;
 }
 
 Result<int> report(const Arguments& arguments) {
-  for (const double value : {arguments.budget.tops, arguments.budget.efficiency, arguments.budget.frame_ms, arguments.budget.passes_ms})
-    if (!std::isfinite(value)) return bad_input("--tops, --efficiency, --frame-ms, --passes-ms", "must be finite, found {}", value);
+  for (const double value : {arguments.budget.tops, arguments.budget.efficiency,
+                             arguments.budget.frame_ms, arguments.budget.passes_ms})
+    if (!std::isfinite(value))
+      return bad_input("--tops, --efficiency, --frame-ms, --passes-ms", "must be finite, found {}",
+                       value);
   return arguments.cost_table.empty() ? report_files(arguments) : report_cost_table(arguments);
 }
 
@@ -452,23 +513,34 @@ Result<int> report(const Arguments& arguments) {
 Action add_report(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   Budget& budget = arguments->budget;
-  CLI::Option_group& what = *app.add_option_group("What to report", "files, or a table of published figures");
-  what.add_option("file", arguments->files, "models (.tosa, .tir), model folders, packages (.shale)");
+  CLI::Option_group& what =
+      *app.add_option_group("What to report", "files, or a table of published figures");
+  what.add_option("file", arguments->files,
+                  "models (.tosa, .tir), model folders, packages (.shale)");
   CLI::Option* const table =
-      what.add_option("--cost-table", arguments->cost_table, "count the layers of a table of published figures and compare");
+      what.add_option("--cost-table", arguments->cost_table,
+                      "count the layers of a table of published figures and compare");
   what.require_option(1);
-  app.add_option("--row", arguments->row, "only this row of the table, with its graph")->needs(table);
-  app.add_option("--input-shape", arguments->input_shapes, "shape of a model's input, NAME=N,H,W,C (again for each input)")
+  app.add_option("--row", arguments->row, "only this row of the table, with its graph")
+      ->needs(table);
+  app.add_option("--input-shape", arguments->input_shapes,
+                 "shape of a model's input, NAME=N,H,W,C (again for each input)")
       ->allow_extra_args(false);  // what follows is a file
   app.add_option("--variant", arguments->variant, "variant of the package");
-  app.add_option("--measured", arguments->measured, "times from shale run --profile-to, to set beside the predicted ones");
-  app.add_option("--tops", budget.tops, "peak of the device, 1e12 operations a second, 2 per MAC")->check(CLI::Range(1e-6, 1e6));
-  app.add_option("--efficiency", budget.efficiency, "share of the peak that the network is assumed to reach")
+  app.add_option("--measured", arguments->measured,
+                 "times from shale run --profile-to, to set beside the predicted ones");
+  app.add_option("--tops", budget.tops, "peak of the device, 1e12 operations a second, 2 per MAC")
+      ->check(CLI::Range(1e-6, 1e6));
+  app.add_option("--efficiency", budget.efficiency,
+                 "share of the peak that the network is assumed to reach")
       ->check(CLI::Range(1e-6, 1.0));
-  app.add_option("--frame-ms", budget.frame_ms, "time for passes and network together")->check(CLI::Range(0.0, 1e6));
-  app.add_option("--passes-ms", budget.passes_ms, "time of the passes around the network")->check(CLI::Range(0.0, 1e6));
-  app.add_option("--convention", arguments->convention,
-                 "mac: multiply-accumulates; counter_a: also the operations that SRPO's table 1 counts")
+  app.add_option("--frame-ms", budget.frame_ms, "time for passes and network together")
+      ->check(CLI::Range(0.0, 1e6));
+  app.add_option("--passes-ms", budget.passes_ms, "time of the passes around the network")
+      ->check(CLI::Range(0.0, 1e6));
+  app.add_option(
+         "--convention", arguments->convention,
+         "mac: multiply-accumulates; counter_a: also the operations that SRPO's table 1 counts")
       ->check(CLI::IsMember({"mac", "counter_a"}));
   app.add_flag("--json", arguments->json, "print the report as JSON");
   app.footer("Example: shale report models/srpo_x2 --input-shape input=1,540,960,3");

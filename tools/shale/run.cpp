@@ -40,8 +40,9 @@ Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Varian
   std::vector<std::string> unused = arguments.inputs;
   for (const Resource* resource : tensors_of(variant, Category::kInput)) {
     const TensorType type{resource->dtype, resource->shape};
-    const auto given = std::find_if(unused.begin(), unused.end(),
-                                    [&](const std::string& text) { return text.starts_with(resource->name + "="); });
+    const auto given = std::find_if(unused.begin(), unused.end(), [&](const std::string& text) {
+      return text.starts_with(resource->name + "=");
+    });
     if (given != unused.end()) {
       SHALE_TRY(Tensor tensor, read_npy(given->substr(resource->name.size() + 1), type));
       tensors.push_back(std::move(tensor));
@@ -49,11 +50,13 @@ Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Varian
     } else if (arguments.random_seed) {
       tensors.push_back(random_tensor(type, generator));
     } else {
-      return bad_input("input \"" + resource->name + "\"", "is missing; give --input {}=FILE.npy of {}, or --random SEED",
+      return bad_input("input \"" + resource->name + "\"",
+                       "is missing; give --input {}=FILE.npy of {}, or --random SEED",
                        resource->name, type_text(type));
     }
   }
-  if (!unused.empty()) return bad_input("--input", "\"{}\" names no input of the network", unused.front());
+  if (!unused.empty())
+    return bad_input("--input", "\"{}\" names no input of the network", unused.front());
   return tensors;
 }
 
@@ -77,7 +80,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
   model.frame.reset();  // the network alone
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   SHALE_TRY(Compiled compiled, compile_model(model, options));
-  for (const std::string& warning : compiled.warnings) fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  for (const std::string& warning : compiled.warnings)
+    fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
   graph = std::move(compiled.graph);
   return std::move(compiled.package);
 }
@@ -85,7 +89,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
 /// The graph with the shapes that the package was compiled for.
 Result<void> match_shapes(Graph& graph, const Variant& variant) {
   PassContext context;
-  for (const Resource* resource : tensors_of(variant, Category::kInput)) context.input_shapes[resource->name] = resource->shape;
+  for (const Resource* resource : tensors_of(variant, Category::kInput))
+    context.input_shapes[resource->name] = resource->shape;
   SHALE_TRY_VOID([&]() -> Result<void> {
     const Result<Change> change = run_pass(*find_pass("infer-shapes"), graph, context);
     if (!change) return change.error();
@@ -113,7 +118,8 @@ Result<int> run(const Arguments& arguments) {
     SHALE_TRY_VOID(match_shapes(*graph, variant));
     Progress progress("interpreting");
     SHALE_TRY(const std::vector<Tensor> expected,
-              interpret(*graph, inputs, [&](uint32_t node, uint32_t count) { return progress.step(node, count); }));
+              interpret(*graph, inputs,
+                        [&](uint32_t node, uint32_t count) { return progress.step(node, count); }));
     for (size_t i = 0; i < outputs.size(); ++i) {
       const std::optional<std::string> difference = first_difference(outputs[i], expected[i]);
       json["check"][names[i]->name] = difference.value_or("equal");
@@ -135,10 +141,12 @@ Result<int> run(const Arguments& arguments) {
   double total_us = 0;
   for (const DispatchTime& time : times) {
     total_us += time.time_us;
-    json["dispatches"].push_back({{"name", time.name}, {"kernel", time.kernel}, {"time_us", time.time_us}});
+    json["dispatches"].push_back(
+        {{"name", time.name}, {"kernel", time.kernel}, {"time_us", time.time_us}});
   }
   if (measure) json["total_us"] = total_us;
-  if (!arguments.profile_file.empty()) SHALE_TRY_VOID(write_text(arguments.profile_file, json_text(json)));
+  if (!arguments.profile_file.empty())
+    SHALE_TRY_VOID(write_text(arguments.profile_file, json_text(json)));
   if (arguments.json) {
     print_json(json);
     return exit;
@@ -146,11 +154,12 @@ Result<int> run(const Arguments& arguments) {
   fmt::print("ran on {}\n", device.context().caps.name);
   if (arguments.check)
     for (const auto& [name, text] : json["check"].items())
-      fmt::print("output \"{}\": {} the interpreter\n", name, text == "equal" ? "equal to" : "differs from (" + text.get<std::string>() + ")");
+      fmt::print("output \"{}\": {} the interpreter\n", name,
+                 text == "equal" ? "equal to" : "differs from (" + text.get<std::string>() + ")");
   if (arguments.profile) {
     for (const DispatchTime& time : times)
-      fmt::print("  {:>10.1f} us {:>5.1f} %  {:<20} {}\n", time.time_us, total_us > 0 ? 100 * time.time_us / total_us : 0.0,
-                 time.kernel, time.name);
+      fmt::print("  {:>10.1f} us {:>5.1f} %  {:<20} {}\n", time.time_us,
+                 total_us > 0 ? 100 * time.time_us / total_us : 0.0, time.kernel, time.name);
     fmt::print("  {:>10.1f} us total, median of {}\n", total_us, arguments.repeat);
   }
   return exit;
@@ -160,15 +169,20 @@ Result<int> run(const Arguments& arguments) {
 
 Action add_run(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("file", arguments->file, "model (.tosa, .tir), model folder, or package (.shale)")->required();
-  app.add_option("--input", arguments->inputs, "NAME=FILE.npy for each graph input")->allow_extra_args(false);
-  app.add_option("--random", arguments->random_seed, "seed for random values of the inputs that are not given");
+  app.add_option("file", arguments->file, "model (.tosa, .tir), model folder, or package (.shale)")
+      ->required();
+  app.add_option("--input", arguments->inputs, "NAME=FILE.npy for each graph input")
+      ->allow_extra_args(false);
+  app.add_option("--random", arguments->random_seed,
+                 "seed for random values of the inputs that are not given");
   app.add_option("-o,--output", arguments->output_folder, "folder for the outputs, NAME.npy each");
   app.add_flag("--check", arguments->check, "compare bit for bit with the reference interpreter");
   app.add_option("--model", arguments->check_model, "the model of a package, for --check");
-  app.add_option("--repeat", arguments->repeat, "runs; times are the median")->check(CLI::Range(1, 10000));
+  app.add_option("--repeat", arguments->repeat, "runs; times are the median")
+      ->check(CLI::Range(1, 10000));
   app.add_flag("--profile", arguments->profile, "print the time of each dispatch");
-  app.add_option("--profile-to", arguments->profile_file, "write the times as JSON, for shale report --measured");
+  app.add_option("--profile-to", arguments->profile_file,
+                 "write the times as JSON, for shale report --measured");
   arguments->compile.add_to(app);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");

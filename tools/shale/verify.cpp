@@ -1,7 +1,8 @@
 // shale verify: is a model or a package legal?
+#include "ir/verify/verify.h"
+
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
-#include "ir/verify/verify.h"
 #include "tools/shale/command.h"
 
 namespace shale {
@@ -28,12 +29,17 @@ Result<int> verify_files(const Arguments& arguments) {
   int exit = kDone;
   for (const std::string& path : arguments.files) {
     const Result<std::string> result = verify_file(path);
-    const std::string text = result ? *result : result.error().where == path ? result.error().message : result.error().text();
+    const std::string text = result                         ? *result
+                             : result.error().where == path ? result.error().message
+                                                            : result.error().text();
     if (!result) exit = kRefused;
-    json.push_back({{"file", path}, {"valid", result.has_value()}, {result ? "summary" : "error", text}});
+    json.push_back(
+        {{"file", path}, {"valid", result.has_value()}, {result ? "summary" : "error", text}});
     if (arguments.json) continue;
-    if (result) fmt::print("{}: valid ({})\n", path, text);
-    else fmt::print(stderr, "error: {}: {}\n", path, text);
+    if (result)
+      fmt::print("{}: valid ({})\n", path, text);
+    else
+      fmt::print(stderr, "error: {}: {}\n", path, text);
   }
   if (arguments.json) print_json(json);
   return exit;
@@ -43,7 +49,8 @@ Result<int> verify_files(const Arguments& arguments) {
 
 Action add_verify(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("files", arguments->files, "models (.tosa, .tir) or packages (.shale)")->required();
+  app.add_option("files", arguments->files, "models (.tosa, .tir) or packages (.shale)")
+      ->required();
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer("Example: shale verify models/srpo_x2/model.tosa srpo.shale");
   return [arguments] { return verify_files(*arguments); };

@@ -1,4 +1,5 @@
-// An outside program: reads a package with the installed library and prepares its sandwich on the first device.
+// An outside program: reads a package with the installed library and prepares its sandwich on the
+// first device.
 #include <cstdio>
 
 #include "ir/base/file.h"
