@@ -220,7 +220,9 @@ TEST_F(Cli, JsonIsJson) {
        {"compile " + file("small.tir") + " -o " + file("t.shale") + " --json",
         "verify " + file("small.tir") + " --json",
         "run " + file("small.tir") + " --random 1 --json",
-        "report " + file("small.tir") + " --json", std::string("doctor --json")}) {
+        "report " + file("small.tir") + " --json", "dump " + file("small.tir") + " --json",
+        "dump " + file("s.shale") + " --json", "dump " + file("s.shale") + " --what memory --json",
+        std::string("doctor --json")}) {
     const Outcome outcome = shale(command);
     EXPECT_EQ(outcome.exit, 0) << command;
     EXPECT_TRUE(nlohmann::json::accept(outcome.text)) << command << "\n" << outcome.text;
