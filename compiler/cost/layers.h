@@ -76,7 +76,8 @@ struct Layer {
 /// "pixel_shuffle"). Sizes are a number or [h,w]. "cin" absent: the channels of the layer before;
 /// "bias" absent: true, as PyTorch has it; "at" ("lr" or "hr") names the grid of a layer's input or
 /// output, absent: it follows from the factors and strides before. `scale` is that of "hr", 0 if
-/// unknown; `input_channels` 0 if unknown. Errors: kBadInput, kUnsupported for an unknown operator,
+/// unknown; `input_channels` 0 if unknown.
+/// Errors: kBadInput, kUnsupported for an unknown operator,
 /// with the layer in `where`.
 Result<std::vector<Layer>> parse_layers(std::string_view json, int64_t scale,
                                         int64_t input_channels);
@@ -101,7 +102,8 @@ LayerCounts count_layers(std::span<const Layer> layers);
 /// The same network as an INT8 TOSA graph with made-up weights, whose cost alone has a meaning: i8
 /// NHWC [1,lr_h,lr_w,c] in, i8 out. Skip connections, which a list of layers does not tell, enter
 /// as further inputs: where a layer takes more channels than its predecessor gives, or another
-/// grid. Errors: kUnsupported for layers without an INT8 form here (PReLU, batch norm, bilinear
+/// grid.
+/// Errors: kUnsupported for layers without an INT8 form here (PReLU, batch norm, bilinear
 /// upsampling, groups other than 1 and one an input channel); kBadInput if the sizes do not come
 /// out whole.
 Result<Graph> graph_of_layers(const std::string& name, std::span<const Layer> layers, int64_t lr_h,

@@ -38,7 +38,8 @@ struct Compiled {
   double kernels_ms = 0;  ///< time in code generation and SPIR-V
 };
 
-/// The same input and options give the same bytes. Errors: those of every step.
+/// The same input and options give the same bytes.
+/// Errors: those of every step.
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options);
 
 /// As above, from a graph; `model_hash` goes into the provenance.

@@ -69,7 +69,8 @@ const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfi
                                   std::span<const std::string> allowed = {});
 
 /// Static bounds of the group's convolution head (conv2d, depthwise_conv2d, transpose_conv2d with
-/// constant weights and bias), or nothing. Source: ours, shown in tests/compiler/range_proof_test.
+/// constant weights and bias), or nothing.
+/// Source: ours, shown in tests/compiler/range_proof_test.
 std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& group);
 
 /// Smallest and largest value that `id` can hold, from its type and from CLAMP, TABLE, RESCALE

@@ -21,7 +21,8 @@ struct MemoryPlan {
 };
 
 /// Greedy by size: the largest interval first, each at the lowest offset where nothing that is live
-/// with it lies. Pure and deterministic. Source: Pisarchyk and Lee, "Efficient Memory Management
+/// with it lies. Pure and deterministic.
+/// Source: Pisarchyk and Lee, "Efficient Memory Management
 /// for Deep Neural Net Inference", 2020.
 MemoryPlan plan_memory(std::span<const LiveInterval> intervals, uint64_t alignment);
 

@@ -47,7 +47,8 @@ struct PassOptions {
   std::function<void(std::string_view pass, const Graph&)> after;
 };
 
-/// Runs the pipeline of pipeline.cpp. Errors: those of the passes and of the verifier.
+/// Runs the pipeline of pipeline.cpp.
+/// Errors: those of the passes and of the verifier.
 Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& context,
                                              const PassOptions& options);
 

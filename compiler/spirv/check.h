@@ -8,13 +8,15 @@
 
 namespace shale {
 
-/// Runs spirv-opt's performance passes. Errors: kBadInput if the words are no module.
+/// Runs spirv-opt's performance passes.
+/// Errors: kBadInput if the words are no module.
 Result<Spirv> optimize_spirv(const Spirv& words, const std::string& where);
 
 /// Errors: kBadInput with the validator's message.
 Result<void> validate_spirv(const Spirv& words, const std::string& where);
 
-/// Assembly text. Errors: kBadInput if the words are no module.
+/// Assembly text.
+/// Errors: kBadInput if the words are no module.
 Result<std::string> disassemble_spirv(const Spirv& words);
 
 /// Device features behind the module's OpCapability instructions, and its workgroup's invocations.

@@ -14,7 +14,8 @@ namespace shale {
 using Defines = std::vector<std::pair<std::string, std::string>>;
 
 /// Compiles a compute shader with entry point main for Vulkan 1.2 and above. `#include "x.glsl"`
-/// finds the files of shaders/include. `where` names the shader in messages. Errors: kBadInput with
+/// finds the files of shaders/include. `where` names the shader in messages.
+/// Errors: kBadInput with
 /// the first line of glslang's log.
 Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
                            const std::string& where);

@@ -46,7 +46,8 @@ struct Scale {
   int64_t shift = 0;
 };
 
-/// 1/n for apply_scale_32; n in 1..2^31. Source: TOSA 1.0, reciprocal_scale.
+/// 1/n for apply_scale_32; n in 1..2^31.
+/// Source: TOSA 1.0, reciprocal_scale.
 inline constexpr Scale reciprocal_scale(int64_t n) {
   const int64_t k = std::bit_width(static_cast<uint64_t>(n - 1));
   return {(((int64_t{1} << 30) + 1) << k) / n, 30 + k};

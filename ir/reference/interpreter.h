@@ -14,7 +14,8 @@ using InterpreterProgress = std::function<bool(uint32_t node, uint32_t node_coun
 
 /// Computes one node from its operand tensors, in operand order. The node must be legal
 /// (infer_result). Sums are exact; a result that TOSA leaves unpredictable is an error that names
-/// the element. Errors: kBadInput with the node's label in `where`.
+/// the element.
+/// Errors: kBadInput with the node's label in `where`.
 Result<Tensor> evaluate_node(const Graph& graph, NodeId id,
                              std::span<const Tensor* const> operands);
 

@@ -15,7 +15,8 @@ inline constexpr DTypeSet kBool = dtype_bit(DType::kBool), kI4 = dtype_bit(DType
                           kI32 = dtype_bit(DType::kInt32), kI48 = dtype_bit(DType::kInt48);
 constexpr bool contains(DTypeSet set, DType dtype) { return (set & dtype_bit(dtype)) != 0; }
 
-/// Limits of level 8K beside kMaxRank and kMaxElements. Source: TOSA 1.0, levels.
+/// Limits of level 8K beside kMaxRank and kMaxElements.
+/// Source: TOSA 1.0, levels.
 inline constexpr int64_t kMaxKernel = 8192, kMaxStride = 8192, kMaxScale = 256;
 inline constexpr int64_t kInt32Max = dtype_range(DType::kInt32).max;
 

@@ -14,8 +14,10 @@ inline constexpr int64_t kMaxGraphBytes = int64_t{1} << 36;
 /// operator, and returns the type that its result must have. Operand shapes must be known (no
 /// kDynamic). Constant operands whose value TOSA leaves unpredictable (a negative multiplier, a
 /// shift outside its range, a gather index outside the values) are refused too. Ids must be in
-/// range, and so must elements of BOOL, INT4 and INT48 constants; verify checks both. Errors:
-/// kBadInput or kUnsupported with the node's label in `where`. Source: TOSA 1.0, chapter 2; levels,
+/// range, and so must elements of BOOL, INT4 and INT48 constants; verify checks both.
+/// Errors:
+/// kBadInput or kUnsupported with the node's label in `where`.
+/// Source: TOSA 1.0, chapter 2; levels,
 /// section 1.7.
 Result<TensorType> infer_result(const Graph& graph, NodeId id);
 

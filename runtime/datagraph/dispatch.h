@@ -84,7 +84,8 @@ class DescriptorSets {
   static Result<DescriptorSets> create(const Kernels& kernels, std::span<const Step* const> steps);
 
   /// Points set `index` at what `target` answers for each binding of its dispatch. No pending
-  /// command buffer may use the set. Errors: kDevice.
+  /// command buffer may use the set.
+  /// Errors: kDevice.
   Result<void> write(size_t index, const std::function<Target(const Binding&)>& target);
 
   VkDescriptorSet operator[](size_t index) const { return sets_[index]; }

@@ -43,7 +43,8 @@ class PipelineCache {
   /// Empty if the file was used.
   const std::string& ignored() const { return ignored_; }
 
-  /// Replaces the file, unless it holds the same already. Errors: kDevice, kIo.
+  /// Replaces the file, unless it holds the same already.
+  /// Errors: kDevice, kIo.
   Result<void> save() const;
 
  private:

@@ -23,7 +23,8 @@ class Timestamps {
   void mark(VkCommandBuffer commands);
 
   /// Microseconds of each interval, in order. The command buffer must have been submitted.
-  /// Waits until it is done. Errors: kDevice.
+  /// Waits until it is done.
+  /// Errors: kDevice.
   Result<std::vector<double>> read_us() const;
 
  private:

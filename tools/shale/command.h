@@ -63,7 +63,8 @@ struct ModelFiles {
 };
 
 /// `path` is a model file, or a folder with model.tosa and (optionally) frame.json. `frame_path`
-/// names a frame.json for a model file; empty is none. Errors: kIo, kBadInput; the file is named.
+/// names a frame.json for a model file; empty is none.
+/// Errors: kIo, kBadInput; the file is named.
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path);
 
 /// Options that everything which compiles shares.

@@ -98,7 +98,9 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
     SHALE_TRY(timestamps, vk::Timestamps::create(context, interval_count(segments)));
   }
   std::vector<std::vector<DispatchTime>> measured;
-  for (uint32_t i = 0; i < repeat; ++i) {
+  // Drivers may compile a shader at its first dispatch, so a run that is not measured goes first.
+  const uint32_t warm_up = times ? 1 : 0;
+  for (uint32_t i = 0; i < repeat + warm_up; ++i) {
     Result<void> recorded;
     SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
       if (timestamps) timestamps->start(commands);
@@ -107,7 +109,7 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
                          VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
     }));
     SHALE_TRY_VOID(recorded);
-    if (timestamps) {
+    if (timestamps && i >= warm_up) {
       SHALE_TRY(std::vector<DispatchTime> frame, measured_times(*timestamps, segments));
       measured.push_back(std::move(frame));
     }

@@ -48,8 +48,9 @@ class ToolDevice {
 };
 
 /// Runs the package's graph `repeat` times on the inputs, in the order of the graph; returns the
-/// outputs of the last run. With `times`, the median over the runs of each dispatch. Errors:
-/// kBadInput if inputs do not match the package, kDevice.
+/// outputs of the last run. With `times`, the median over the runs of each dispatch, after one run
+/// that is not measured.
+/// Errors: kBadInput if inputs do not match the package, kDevice.
 Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
                                         const std::vector<Tensor>& inputs, uint32_t repeat = 1,
                                         std::vector<DispatchTime>* times = nullptr);

@@ -18,10 +18,12 @@ struct Picture {
   static Picture filled(uint32_t width, uint32_t height, uint8_t grey);
 };
 
-/// PNG, JPEG, BMP or TGA of 1 to 16384 pixels a side. Errors: kIo, kBadInput naming the file.
+/// PNG, JPEG, BMP or TGA of 1 to 16384 pixels a side.
+/// Errors: kIo, kBadInput naming the file.
 Result<Picture> load_picture(const std::string& path);
 
-/// PNG. Errors: kIo.
+/// PNG.
+/// Errors: kIo.
 Result<void> save_png(const std::string& path, const Picture& picture);
 
 /// Every output pixel takes the input pixel that covers its centre.

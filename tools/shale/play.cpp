@@ -85,8 +85,13 @@ class Player {
     return player;
   }
 
-  uint32_t input_width() const { return input_->width; }
-  uint32_t input_height() const { return input_->height; }
+  /// A frame that leaves no trace: drivers may compile a shader at its first dispatch.
+  Result<void> warm_up(const Picture& picture) {
+    const Result<Picture> ignored = play(picture, nullptr);
+    if (!ignored) return ignored.error();
+    loop_.reset_history();
+    return {};
+  }
 
   /// One frame; `times` gains its dispatches.
   Result<Picture> play(const Picture& picture, std::vector<DispatchTime>* times) {
@@ -241,6 +246,10 @@ Result<int> play(const Arguments& arguments) {
       if (!progress.step(i, files.size())) return bad_input("", "interrupted after {} pictures", i);
       if (i > 0) {
         SHALE_TRY(picture, load_picture(files[i]));
+      }
+      if (i == 0 && arguments.profile) {
+        if (Result<void> warm = player->warm_up(picture); !warm)
+          return in_file(files[i], warm.error());
       }
       std::vector<DispatchTime> times;
       Result<Picture> result = player->play(picture, arguments.profile ? &times : nullptr);
