@@ -180,7 +180,7 @@ class VariantBuilder {
         ++dispatch_count_;
         segment.dispatches.push_back(std::move(dispatch));
       }
-      if (problem.proof) add_proof(problem);
+      if (problem.proof) variant_.proofs.push_back(*problem.proof);
       if (options_.progress && !options_.progress(i + 1, problems_.size()))
         return bad_input("", "interrupted");
     }
@@ -194,12 +194,6 @@ class VariantBuilder {
     cost.bytes_written /= parts;
     cost.time_us = time_us / static_cast<double>(parts);
     return cost;
-  }
-
-  void add_proof(const GroupProblem& problem) {
-    const std::string& name = graph_.value(graph_.node(*problem.group.head).output).name;
-    variant_.proofs.push_back(
-        {name, problem.proof->min, problem.proof->max, problem.proof->magnitude});
   }
 
   void touch(ValueId id, uint32_t dispatch) {
@@ -329,12 +323,8 @@ class VariantBuilder {
         1e-3 * static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) /
             profile_.bandwidth_gbps +
         profile_.launch_us;
-    SHALE_TRY(KernelSource source, [&]() -> Result<KernelSource> {
-      SHALE_TRY(std::string text, options_.load_shader(pass.shader));
-      KernelSource kernel;
-      kernel.glsl = std::move(text);
-      return kernel;
-    }());
+    KernelSource source;
+    SHALE_TRY(source.glsl, options_.load_shader(pass.shader));
     Defines defines = frame_defines();
     defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
     defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));

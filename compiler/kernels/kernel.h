@@ -30,18 +30,11 @@ struct KernelSource {
       true;  ///< false where spirv-opt costs much and gains nothing: literal-heavy modules
 };
 
-/// Bounds of a convolution's accumulators from the actual weights, per output channel.
-/// `min`, `max`: of the final accumulator. `magnitude`: of every partial sum in any order, bias
-/// left out.
-struct RangeProofData {
-  std::vector<int64_t> min, max, magnitude;
-};
-
 /// A group to be compiled, with what selection needs to know about it.
 struct GroupProblem {
   const Graph* graph = nullptr;
   Group group;
-  std::optional<RangeProofData> proof;  ///< for convolutions with constant weights and bias
+  std::optional<RangeProof> proof;  ///< for convolutions with constant weights and bias
   Cost cost;                            ///< without time
 };
 
@@ -71,7 +64,7 @@ const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfi
 /// Static bounds of the group's convolution head (conv2d, depthwise_conv2d, transpose_conv2d with
 /// constant weights and bias), or nothing.
 /// Source: ours, shown in tests/compiler/range_proof_test.
-std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& group);
+std::optional<RangeProof> prove_ranges(const Graph& graph, const Group& group);
 
 /// Smallest and largest value that `id` can hold, from its type and from CLAMP, TABLE, RESCALE
 /// limits and constants before it.

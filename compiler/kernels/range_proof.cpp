@@ -60,7 +60,7 @@ IntRange value_range(const Graph& graph, ValueId id) {
   return range_of(graph, id, graph.producers());
 }
 
-std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& group) {
+std::optional<RangeProof> prove_ranges(const Graph& graph, const Group& group) {
   if (!group.head) return std::nullopt;
   const Node& node = graph.node(*group.head);
   const bool depthwise = node.op == Op::kDepthwiseConv2d;
@@ -79,7 +79,8 @@ std::optional<RangeProofData> prove_ranges(const Graph& graph, const Group& grou
   // values; a padded tap reads zp.
   const int64_t largest = std::max({std::abs(raw.min), std::abs(raw.max), std::abs(zp)});
   const size_t channels = static_cast<size_t>(graph.value(node.output).type.shape.back());
-  RangeProofData proof;
+  RangeProof proof;
+  proof.name = graph.value(node.output).name;
   proof.min.resize(channels);
   proof.max.resize(channels);
   proof.magnitude.resize(channels);

@@ -52,6 +52,11 @@ struct PassOptions {
 Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& context,
                                              const PassOptions& options);
 
+/// Runs these passes in order, with the options' checks and callbacks.
+Result<std::vector<PassTiming>> run_passes(Graph& graph, const PassContext& context,
+                                           const PassOptions& options,
+                                           std::span<const std::string_view> names);
+
 /// Runs one pass and, if it reports a change, drops unused values.
 Result<Change> run_pass(const PassInfo& pass, Graph& graph, const PassContext& context);
 

@@ -4,10 +4,6 @@
 
 namespace shale {
 
-Result<std::vector<PassTiming>> run_passes(Graph& graph, const PassContext& context,
-                                           const PassOptions& options,
-                                           std::span<const std::string_view> names);
-
 Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& context,
                                              const PassOptions& options) {
   // Shapes come first: the verifier and every later pass need them closed.

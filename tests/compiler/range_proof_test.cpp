@@ -13,7 +13,7 @@ namespace {
 constexpr int64_t kFloatExact = int64_t{1} << 24;
 
 /// The proof of the only group with a convolution.
-RangeProofData proof_of(const Graph& graph) {
+RangeProof proof_of(const Graph& graph) {
   for (const Group& group : collect_groups(graph))
     if (const auto proof = prove_ranges(graph, group)) return *proof;
   ADD_FAILURE() << "no proof";
@@ -52,7 +52,7 @@ std::vector<Graph> all_convolutions() {
 
 TEST(RangeProof, IsSound) {
   for (const Graph& graph : all_convolutions()) {
-    const RangeProofData proof = proof_of(graph);
+    const RangeProof proof = proof_of(graph);
     const size_t channels = static_cast<size_t>(graph.value(graph.outputs[0]).type.shape.back());
     ASSERT_EQ(proof.min.size(), channels);
     for (uint64_t seed = 1; seed <= 20; ++seed) {
@@ -104,7 +104,7 @@ TEST(RangeProof, IsTight) {
         graph_of(conv_text("conv2d", "i8[1,2,1,3]",
                            "i8[2,2,1,3] = [1,-2,3,127,-128,0,5,6,-7,8,9,-10]", "i32[2] = [1000,-7]",
                            "pad=[0,0,0,0], stride=[1,1], dilation=[1,1]", "i32[1,1,1,2]", zp, wzp));
-    const RangeProofData proof = proof_of(graph);
+    const RangeProof proof = proof_of(graph);
     const std::vector<int64_t> weights = graph.value(*graph.find_value("w")).constant->ints();
     for (size_t c = 0; c < 2; ++c) {
       for (const bool largest : {false, true}) {
@@ -134,7 +134,7 @@ TEST(RangeProof, UsesWhatIsKnownOfTheInput) {
   %y = conv2d %c, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,1,1,1]
   return %y
 })";
-  const RangeProofData proof = proof_of(graph_of(text));
+  const RangeProof proof = proof_of(graph_of(text));
   EXPECT_EQ(proof.min[0], -120);
   EXPECT_EQ(proof.max[0], 120);
   EXPECT_EQ(proof.magnitude[0], 140);
@@ -249,7 +249,7 @@ TEST(RangeProof, GoesIntoThePackage) {
   const std::vector<RangeProof>& proofs = compiled.package.variants[0].proofs;
   ASSERT_EQ(proofs.size(), 1u);
   EXPECT_EQ(proofs[0].name, "acc");
-  const RangeProofData expected = proof_of(compiled.graph);
+  const RangeProof expected = proof_of(compiled.graph);
   EXPECT_EQ(proofs[0].min, expected.min);
   EXPECT_EQ(proofs[0].max, expected.max);
   EXPECT_EQ(proofs[0].magnitude, expected.magnitude);
