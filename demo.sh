@@ -12,7 +12,7 @@ mkdir -p out
 
 echo
 echo "== compile models/srpo_x2 for a 480x270 picture"
-$shale compile models/srpo_x2 --input-shape input=1,270,480,3 -o out/srpo_x2.shale
+$shale compile models/srpo_x2 --render 480x270 -o out/srpo_x2.shale
 
 echo
 echo "== run its sandwich on models/pictures/raster_lr.png"
@@ -23,7 +23,7 @@ $shale play out/srpo_x2.shale -i models/pictures/raster_lr.png -o out/result.png
 
 echo
 echo "== what it costs at 960x540 -> 1920x1080"
-$shale report models/srpo_x2 --input-shape input=1,540,960,3
+$shale report models/srpo_x2 --render 960x540
 
 echo
 echo "Look at:"

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cctype>
 #include <chrono>
-#include <cmath>
 #include <map>
 #include <set>
 
@@ -77,7 +76,10 @@ class VariantBuilder {
   Result<Variant> build() {
     for (const ValueId id : graph_.inputs) add_tensor(id, Category::kInput);
     for (const ValueId id : graph_.outputs) add_tensor(id, Category::kOutput);
-    if (options_.frame) SHALE_TRY_VOID(add_frame_images());
+    if (options_.frame) {
+      SHALE_TRY_VOID(add_frame_images());
+      variant_.params = options_.frame->params;
+    }
     if (options_.frame) {
       for (const FramePass& pass : options_.frame->passes) {
         if (pass.is_graph)
@@ -90,6 +92,7 @@ class VariantBuilder {
     }
     place_intermediates();
     add_requirements();
+    if (options_.frame) SHALE_TRY_VOID(add_views());
     return std::move(variant_);
   }
 
@@ -123,12 +126,12 @@ class VariantBuilder {
   }
 
   Result<uint32_t> add_module(const KernelSource& source, const Defines& defines, bool optimize,
-                              const std::string& where) {
+                              const std::string& where, const IncludeLoader& load = {}) {
     std::string key = source.glsl;
     for (const auto& [name, value] : defines) key += "\n" + name + "=" + value;
     if (const auto found = module_of_source_.find(key); found != module_of_source_.end())
       return found->second;
-    SHALE_TRY(Spirv words, compile_glsl(source.glsl, defines, where));
+    SHALE_TRY(Spirv words, compile_glsl(source.glsl, defines, where, load));
     if (optimize && options_.optimize_spirv) {
       SHALE_TRY(words, optimize_spirv(words, where));
     }
@@ -217,16 +220,8 @@ class VariantBuilder {
     lower_bound_ = plan.lower_bound_bytes;
   }
 
-  /// Height and width that image scales refer to: those of the first graph input.
-  Result<std::pair<double, double>> base_size() const {
-    if (graph_.inputs.empty() || graph_.value(graph_.inputs[0]).type.shape.size() != 4)
-      return bad_input("frame", "a sandwich needs a network whose first input is NHWC");
-    const Shape& shape = graph_.value(graph_.inputs[0]).type.shape;
-    return std::pair{static_cast<double>(shape[1]), static_cast<double>(shape[2])};
-  }
-
   Result<void> add_frame_images() {
-    SHALE_TRY(const auto base, base_size());
+    SHALE_TRY(const auto sizes, frame_sizes(*options_.frame, options_.sizes));
     std::set<std::string> names;
     for (const Resource& resource : variant_.resources) names.insert(resource.name);
     for (const FrameImage& image : options_.frame->images) {
@@ -236,22 +231,48 @@ class VariantBuilder {
       resource.name = image.name;
       resource.category = image.category;
       resource.format = image.format;
-      resource.height = static_cast<uint32_t>(std::lround(base.first * image.scale));
-      resource.width = static_cast<uint32_t>(std::lround(base.second * image.scale));
+      const FrameExtent extent = image.size(sizes.first, sizes.second);
+      resource.height = extent.height;
+      resource.width = extent.width;
       resource.history_depth = image.history_depth;
-      if (resource.height < 1 || resource.width < 1 || resource.height > 16384 ||
-          resource.width > 16384)
+      if (resource.height > kMaxImageExtent || resource.width > kMaxImageExtent)
         return bad_input("frame.images",
-                         "image \"{}\" would have {}x{} pixels, expected 1 to 16384 a side",
-                         image.name, resource.width, resource.height);
+                         "image \"{}\" would have {}x{} pixels, expected at most {} a side",
+                         image.name, resource.width, resource.height, kMaxImageExtent);
       variant_.resources.push_back(std::move(resource));
     }
     return {};
   }
 
-  /// Sizes and quantization of every image, input and output, under their upper-case names.
+  Result<void> add_views() {
+    for (const FrameView& from : options_.frame->views) {
+      const std::string where = "view \"" + from.view.title + "\"";
+      const auto named = std::find_if(variant_.resources.begin(), variant_.resources.end(),
+                                      [&](const Resource& r) { return r.name == from.name; });
+      if (named == variant_.resources.end())
+        return bad_input(where, "there is no image, graph input or output \"{}\"", from.name);
+      View view = from.view;
+      view.resource = static_cast<uint32_t>(named - variant_.resources.begin());
+      variant_.views.push_back(std::move(view));
+    }
+    return {};
+  }
+
+  /// Sizes and quantization of every image, input and output, under their upper-case names; the
+  /// declaration of the parameters.
   Defines frame_defines() const {
     Defines defines;
+    std::string members;
+    for (const Param& param : variant_.params) {
+      const std::string type = param.components == 1
+                                   ? (param.is_integer ? "int" : "float")
+                                   : fmt::format("{}vec{}", param.is_integer ? "i" : "",
+                                                 param.components);
+      members += fmt::format(" layout(offset = {}) {} {};", param.offset_bytes, type, param.name);
+    }
+    if (!members.empty())
+      defines.emplace_back("SHALE_PARAMS", fmt::format(
+          "layout(push_constant, std430) uniform Params {{{} }} params", members));
     for (const Resource& resource : variant_.resources) {
       if (resource.category == Category::kWeights || resource.category == Category::kIntermediate)
         continue;
@@ -287,15 +308,28 @@ class VariantBuilder {
                      wants_image ? "image" : "graph input or output", name);
   }
 
+  /// Pixels of what the pass goes over.
+  Result<FrameExtent> grid_of(const FramePass& pass, const std::string& where) const {
+    for (const Resource& resource : variant_.resources) {
+      if (resource.name != pass.over) continue;
+      if (is_image(resource.category)) return FrameExtent{resource.width, resource.height};
+      if (resource.shape.size() == 4 && resource.shape[1] <= kMaxImageExtent &&
+          resource.shape[2] <= kMaxImageExtent)
+        return FrameExtent{static_cast<uint32_t>(resource.shape[2]),
+                           static_cast<uint32_t>(resource.shape[1])};
+    }
+    return bad_input(where, "there is no image, graph input or output \"{}\" to go over",
+                     pass.over);
+  }
+
   Result<void> add_pass(const FramePass& pass) {
     const std::string where = "pass \"" + pass.name + "\"";
-    SHALE_TRY(const uint32_t over, find_resource(pass.over, true, where));
+    SHALE_TRY(const FrameExtent grid, grid_of(pass, where));
     Dispatch dispatch;
     dispatch.name = pass.name;
     dispatch.kernel = "pass";
-    dispatch.workgroups = {
-        (variant_.resources[over].width + pass.workgroup[0] - 1) / pass.workgroup[0],
-        (variant_.resources[over].height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+    dispatch.workgroups = {(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
+                           (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
     for (const FrameBinding& from : pass.bindings) {
       SHALE_TRY(const uint32_t index, find_resource(from.name, from.is_image, where));
       const Resource& resource = variant_.resources[index];
@@ -305,19 +339,18 @@ class VariantBuilder {
       if (from.frames_back >= std::max(resource.history_depth, 1u))
         return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name,
                          from.frames_back, resource.history_depth);
-      const BindingType type = !from.is_image ? BindingType::kStorageBuffer
-                               : from.writes  ? BindingType::kStorageImage
-                                              : BindingType::kSampledImage;
-      dispatch.bindings.push_back({from.binding, type, index, ImageFormat::kNone, from.reads,
-                                   from.writes, from.frames_back});
-      if (is_image(resource.category)) {
-        const uint64_t bytes = uint64_t{resource.width} * resource.height *
-                               image_format_info(resource.format).texel_bytes;
-        (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) += bytes;
-      } else {
-        (from.writes ? dispatch.cost.bytes_written : dispatch.cost.bytes_read) +=
-            resource.size_bytes;
-      }
+      const BindingType type = from.texels != ImageFormat::kNone ? BindingType::kUniformTexelBuffer
+                               : !from.is_image                  ? BindingType::kStorageBuffer
+                               : from.writes                     ? BindingType::kStorageImage
+                                                                 : BindingType::kSampledImage;
+      dispatch.bindings.push_back({from.binding, type, index, from.texels, from.reads, from.writes,
+                                   from.frames_back});
+      const uint64_t bytes = is_image(resource.category)
+                                 ? uint64_t{resource.width} * resource.height *
+                                       image_format_info(resource.format).texel_bytes
+                                 : resource.size_bytes;
+      if (from.reads) dispatch.cost.bytes_read += bytes;
+      if (from.writes) dispatch.cost.bytes_written += bytes;
     }
     dispatch.cost.time_us =
         1e-3 * static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) /
@@ -328,7 +361,13 @@ class VariantBuilder {
     Defines defines = frame_defines();
     defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
     defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));
-    SHALE_TRY(dispatch.module, add_module(source, defines, true, pass.shader));
+    defines.insert(defines.end(), pass.defines.begin(), pass.defines.end());
+    // Includes lie beside the shader.
+    const std::string folder = pass.shader.substr(0, pass.shader.rfind('/') + 1);
+    SHALE_TRY(dispatch.module,
+              add_module(source, defines, true, pass.shader, [&](const std::string& name) {
+                return options_.load_shader(folder + name);
+              }));
     Segment segment;
     segment.name = pass.name;
     segment.kind = SegmentKind::kCompute;
@@ -390,14 +429,48 @@ std::string options_text(const CompileOptions& options) {
   return text;
 }
 
+/// Gives the graph inputs whose sizes follow from the frame their shapes.
+/// Errors: kBadInput if there is no such input, or its shape was asked for otherwise too.
+Result<void> size_inputs(const Graph& graph, CompileOptions& options) {
+  SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
+  for (const FrameTensor& tensor : options.frame->tensors) {
+    if (!tensor.size) continue;
+    const auto input =
+        std::find_if(graph.inputs.begin(), graph.inputs.end(),
+                     [&](ValueId id) { return graph.value(id).name == tensor.name; });
+    if (input == graph.inputs.end() || graph.value(*input).type.shape.size() != 4)
+      return bad_input("frame.tensors", "the network has no NHWC input \"{}\"", tensor.name);
+    if (options.passes.input_shapes.contains(tensor.name))
+      return bad_input("--input-shape",
+                       "the size of \"{}\" follows from the frame: use --render and --output-size",
+                       tensor.name);
+    const FrameExtent extent = (*tensor.size)(sizes.first, sizes.second);
+    Shape shape = graph.value(*input).type.shape;
+    shape[1] = extent.height;
+    shape[2] = extent.width;
+    options.passes.input_shapes[tensor.name] = std::move(shape);
+  }
+  return {};
+}
+
+bool has_graph(const Frame& frame) {
+  return std::any_of(frame.passes.begin(), frame.passes.end(),
+                     [](const FramePass& pass) { return pass.is_graph; });
+}
+
 }  // namespace
 
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options) {
-  SHALE_TRY(Graph graph, import_model(model));
+  Graph graph;
+  if (!options.frame || has_graph(*options.frame)) {
+    SHALE_TRY(graph, import_model(model));
+  }
   return compile_graph(std::move(graph), stable_hash(model), options);
 }
 
-Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& options) {
+Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& given) {
+  CompileOptions options = given;
+  if (options.frame) SHALE_TRY_VOID(size_inputs(graph, options));
   for (const std::string& kernel : options.kernels) {
     const auto known = all_kernels();
     if (std::none_of(known.begin(), known.end(),

@@ -24,6 +24,7 @@ struct CompileOptions {
   bool optimize_spirv = true;
   std::optional<Frame> frame;  ///< with it the package holds pre and post passes too
   ShaderLoader load_shader;    ///< needed with `frame`
+  FrameSizes sizes;            ///< for `frame`
   std::string model_name = "model";
   /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
   std::function<bool(size_t done, size_t total)> progress;
@@ -38,7 +39,8 @@ struct Compiled {
   double kernels_ms = 0;  ///< time in code generation and SPIR-V
 };
 
-/// The same input and options give the same bytes.
+/// The same input and options give the same bytes. With a frame that has no graph pass, `model` may
+/// be empty and is not looked at.
 /// Errors: those of every step.
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options);
 

@@ -10,7 +10,9 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr uint32_t kMaxEntries = 64;
-constexpr double kMaxScale = 16;
+constexpr double kMaxRatio = 16;
+constexpr uint32_t kMaxDivide = 64;
+constexpr uint32_t kMaxMultiple = 256;
 constexpr uint32_t kMaxHistory = 8;
 constexpr uint32_t kMaxLocalSize = 32;
 
@@ -65,14 +67,108 @@ class Fields {
   std::string where_;
 };
 
+bool is_identifier(const std::string& name) {
+  const auto fits = [](unsigned char c) { return std::isalnum(c) != 0 || c == '_'; };
+  return !name.empty() && std::all_of(name.begin(), name.end(), fits) &&
+         std::isdigit(static_cast<unsigned char>(name[0])) == 0;
+}
+
 /// Names become preprocessor definitions, so they are identifiers.
 Result<std::string> identifier(const Fields& fields) {
   SHALE_TRY(const std::string name, fields.text("name"));
-  const bool valid = std::all_of(name.begin(), name.end(),
-                                 [](unsigned char c) { return std::isalnum(c) != 0 || c == '_'; });
-  if (!valid || std::isdigit(static_cast<unsigned char>(name[0])) != 0)
+  if (!is_identifier(name))
     return bad_input(fields.where(), "the name \"{}\" is no identifier", name);
   return name;
+}
+
+Result<FrameExtent> parse_extent(const Fields& fields, const char* key) {
+  const Json& size = fields.has(key) ? fields.json()[key] : Json();
+  if (!size.is_array() || size.size() != 2 || !size[0].is_number_unsigned() ||
+      !size[1].is_number_unsigned())
+    return bad_input(fields.where(), "\"{}\" must be a width and a height", key);
+  for (size_t i = 0; i < 2; ++i)
+    if (size[i].get<uint64_t>() < 1 || size[i].get<uint64_t>() > kMaxImageExtent)
+      return bad_input(fields.where(), "\"{}\" has the side {}, expected 1 to {}", key,
+                       size[i].get<uint64_t>(), kMaxImageExtent);
+  return FrameExtent{size[0].get<uint32_t>(), size[1].get<uint32_t>()};
+}
+
+/// "render", "output", or {"of": one of them, "divide": N, "multiple": N}.
+Result<FrameSize> parse_size(const Fields& fields) {
+  const Json& json = fields.has("size") ? fields.json()["size"] : Json();
+  FrameSize size;
+  std::string of;
+  if (json.is_string()) {
+    of = json.get<std::string>();
+  } else if (json.is_object()) {
+    const Fields parts(json, fields.where() + ".size");
+    SHALE_TRY(of, parts.text("of"));
+    SHALE_TRY(const int64_t divide, parts.integer("divide", 1, kMaxDivide, 1));
+    SHALE_TRY(const int64_t multiple, parts.integer("multiple", 1, kMaxMultiple, 1));
+    size.divide = static_cast<uint32_t>(divide);
+    size.multiple = static_cast<uint32_t>(multiple);
+  }
+  if (of != "render" && of != "output")
+    return bad_input(fields.where(), "\"size\" must be \"render\", \"output\" or {{\"of\": ...}}");
+  size.of_output = of == "output";
+  return size;
+}
+
+/// Offsets are given later.
+Result<Param> parse_param(const Fields& fields) {
+  static const std::vector<std::pair<std::string, uint32_t>> kTypes{
+      {"float", 1}, {"vec2", 2}, {"vec3", 3}, {"vec4", 4},
+      {"int", 1},   {"ivec2", 2}, {"ivec3", 3}, {"ivec4", 4}};
+  Param param;
+  SHALE_TRY(param.name, identifier(fields));
+  SHALE_TRY(const std::string type, fields.text("type"));
+  const auto known = std::find_if(kTypes.begin(), kTypes.end(),
+                                  [&](const auto& each) { return each.first == type; });
+  if (known == kTypes.end())
+    return bad_input(fields.where(), "type \"{}\" is none of float, vec2..4, int, ivec2..4", type);
+  param.components = known->second;
+  param.is_integer = type[0] == 'i';
+  param.default_values.assign(param.components, 0.0f);
+  if (fields.has("reset")) {
+    if (!fields.json()["reset"].is_boolean())
+      return bad_input(fields.where(), "\"reset\" must be true or false");
+    if (fields.json()["reset"].get<bool>()) param.source = ParamSource::kReset;
+  }
+  if (!fields.has("default")) return param;
+  const Json& values = fields.json()["default"];
+  if (!values.is_array() || values.size() != param.components)
+    return bad_input(fields.where(), "\"default\" must be a list of {}", param.components);
+  for (uint32_t i = 0; i < param.components; ++i) {
+    if (!values[i].is_number())
+      return bad_input(fields.where(), "\"default\" must be a list of numbers");
+    param.default_values[i] = values[i].get<float>();
+  }
+  return param;
+}
+
+/// Places the parameters one behind the other, aligned as in std430. check_package judges the end.
+void place_params(std::vector<Param>& params) {
+  uint32_t offset = 0;
+  for (Param& param : params) {
+    const uint32_t alignment = param.components == 1 ? 4 : param.components == 2 ? 8 : 16;
+    param.offset_bytes = (offset + alignment - 1) / alignment * alignment;
+    offset = param.offset_bytes + 4 * param.components;
+  }
+}
+
+Result<FrameView> parse_view(const Fields& fields) {
+  FrameView view;
+  SHALE_TRY(view.view.title, fields.text("title"));
+  SHALE_TRY(view.name, fields.text("of"));
+  SHALE_TRY(const int64_t first, fields.integer("first", 0, 1023, 0));
+  SHALE_TRY(const int64_t channels, fields.integer("channels", 1, 3, 1));
+  SHALE_TRY(const double low, fields.number("low", -1e6, 1e6, 0.0));
+  SHALE_TRY(const double high, fields.number("high", -1e6, 1e6, 1.0));
+  view.view.first_channel = static_cast<uint32_t>(first);
+  view.view.channels = static_cast<uint32_t>(channels);
+  view.view.low = static_cast<float>(low);
+  view.view.high = static_cast<float>(high);
+  return view;
 }
 
 Result<FrameImage> parse_image(const Fields& fields) {
@@ -95,7 +191,7 @@ Result<FrameImage> parse_image(const Fields& fields) {
   if (!known || *known == ImageFormat::kRgba8Sint || *known == ImageFormat::kR8Sint)
     return bad_input(fields.where(), "format \"{}\" is no image format", format);
   image.format = *known;
-  SHALE_TRY(image.scale, fields.number("scale", 1.0 / kMaxScale, kMaxScale, 1.0));
+  SHALE_TRY(image.size, parse_size(fields));
   if (image.category == Category::kImageHistory) {
     SHALE_TRY(const int64_t depth, fields.integer("depth", 2, kMaxHistory, 2));
     image.history_depth = static_cast<uint32_t>(depth);
@@ -109,6 +205,9 @@ Result<FrameTensor> parse_tensor(const Fields& fields) {
   SHALE_TRY(const double scale, fields.number("scale", 1e-12, 1e12));
   SHALE_TRY(const int64_t zero_point, fields.integer("zero_point", -32768, 65535, 0));
   tensor.quantization = {static_cast<float>(scale), static_cast<int32_t>(zero_point)};
+  if (fields.has("size")) {
+    SHALE_TRY(tensor.size, parse_size(fields));
+  }
   return tensor;
 }
 
@@ -119,10 +218,18 @@ Result<FrameBinding> parse_binding(const Fields& fields) {
   binding.is_image = fields.has("image");
   SHALE_TRY(binding.name, fields.text(binding.is_image ? "image" : "tensor"));
   SHALE_TRY(const std::string access, fields.text("access"));
-  if (access != "read" && access != "write")
-    return bad_input(fields.where(), "access \"{}\" is neither read nor write", access);
-  binding.reads = access == "read";
-  binding.writes = access == "write";
+  if (access != "read" && access != "write" && access != "read_write")
+    return bad_input(fields.where(), "access \"{}\" is none of read, write, read_write", access);
+  binding.reads = access != "write";
+  binding.writes = access != "read";
+  if (fields.has("texels")) {
+    SHALE_TRY(const std::string format, fields.text("texels"));
+    binding.texels = image_format_from_name(format).value_or(ImageFormat::kNone);
+    if (binding.is_image || binding.writes ||
+        (binding.texels != ImageFormat::kRgba8Sint && binding.texels != ImageFormat::kR8Sint))
+      return bad_input(fields.where(),
+                       "\"texels\" is for tensors that are read, as rgba8_sint or r8_sint");
+  }
   SHALE_TRY(const int64_t back, fields.integer("frames_back", 0, kMaxHistory - 1, 0));
   binding.frames_back = static_cast<uint32_t>(back);
   if (binding.writes && back != 0)
@@ -153,6 +260,19 @@ Result<FramePass> parse_pass(const Fields& fields) {
       pass.workgroup[i] = static_cast<uint32_t>(value);
     }
   }
+  if (fields.has("defines")) {
+    const Json& defines = fields.json()["defines"];
+    if (!defines.is_object() || defines.size() > kMaxEntries)
+      return bad_input(fields.where(), "\"defines\" must be at most {} names with numbers",
+                       kMaxEntries);
+    for (const auto& [name, value] : defines.items()) {
+      if (!is_identifier(name) || !value.is_number())
+        return bad_input(fields.where(), "the definition \"{}\" is no name with a number", name);
+      pass.defines.emplace_back(name, value.is_number_integer()
+                                          ? std::to_string(value.get<int64_t>())
+                                          : fmt::format("{:.9e}", value.get<double>()));
+    }
+  }
   SHALE_TRY(const std::vector<Fields> bindings, fields.list("bindings"));
   for (const Fields& binding : bindings) {
     SHALE_TRY(FrameBinding parsed, parse_binding(binding));
@@ -166,6 +286,39 @@ Result<FramePass> parse_pass(const Fields& fields) {
 
 }  // namespace
 
+FrameExtent FrameSize::operator()(FrameExtent render, FrameExtent output) const {
+  const auto side = [&](uint32_t of) {
+    const uint32_t part = (of + divide - 1) / divide;
+    return (part + multiple - 1) / multiple * multiple;
+  };
+  const FrameExtent of = of_output ? output : render;
+  return {side(of.width), side(of.height)};
+}
+
+Result<std::pair<FrameExtent, FrameExtent>> frame_sizes(const Frame& frame,
+                                                        const FrameSizes& wanted) {
+  const FrameExtent render = wanted.render.value_or(frame.render);
+  const auto scaled = [](uint32_t side, uint32_t to, uint32_t from) {
+    return static_cast<uint32_t>((uint64_t{side} * to + from / 2) / from);
+  };
+  const FrameExtent output = wanted.output.value_or(
+      FrameExtent{scaled(render.width, frame.output.width, frame.render.width),
+                  scaled(render.height, frame.output.height, frame.render.height)});
+  for (const uint32_t side : {render.width, render.height, output.width, output.height})
+    if (side < 1 || side > kMaxImageExtent)
+      return bad_input("frame", "{}x{} to {}x{}: a side is outside 1..{}", render.width,
+                       render.height, output.width, output.height, kMaxImageExtent);
+  // Sides are whole pixels, so a ratio is met within the rounding of one.
+  const auto offered = [&](uint32_t to, uint32_t from) {
+    return to + 0.5 >= frame.min_ratio * from && to - 0.5 <= frame.max_ratio * from && to >= from;
+  };
+  if (!offered(output.width, render.width) || !offered(output.height, render.height))
+    return bad_input("frame", "{}x{} to {}x{} is a ratio outside {} to {}", render.width,
+                     render.height, output.width, output.height, frame.min_ratio,
+                     frame.max_ratio);
+  return std::pair{render, output};
+}
+
 Result<Frame> parse_frame(const std::string& text) {
   const Json json = Json::parse(text, nullptr, false, true);
   if (json.is_discarded() || !json.is_object()) return bad_input("", "is not valid JSON");
@@ -174,6 +327,30 @@ Result<Frame> parse_frame(const std::string& text) {
   if (schema != "shale-frame/1")
     return bad_input("frame", "schema \"{}\" is unknown, expected \"shale-frame/1\"", schema);
   Frame frame;
+  SHALE_TRY(frame.render, parse_extent(root, "render"));
+  SHALE_TRY(frame.output, parse_extent(root, "output"));
+  if (root.has("ratio")) {
+    const Json& ratio = json["ratio"];
+    if (!ratio.is_array() || ratio.size() != 2 || !ratio[0].is_number() || !ratio[1].is_number())
+      return bad_input("frame", "\"ratio\" must be the least and the largest ratio");
+    frame.min_ratio = ratio[0].get<double>();
+    frame.max_ratio = ratio[1].get<double>();
+  }
+  if (!(frame.min_ratio >= 1 && frame.min_ratio <= frame.max_ratio && frame.max_ratio <= kMaxRatio))
+    return bad_input("frame", "\"ratio\" is {} to {}, expected a range within 1 to {}",
+                     frame.min_ratio, frame.max_ratio, kMaxRatio);
+  SHALE_TRY_VOID(frame_sizes(frame, {}));
+  SHALE_TRY(const std::vector<Fields> params, root.list("params"));
+  for (const Fields& fields : params) {
+    SHALE_TRY(Param param, parse_param(fields));
+    frame.params.push_back(std::move(param));
+  }
+  place_params(frame.params);
+  SHALE_TRY(const std::vector<Fields> views, root.list("views"));
+  for (const Fields& fields : views) {
+    SHALE_TRY(FrameView view, parse_view(fields));
+    frame.views.push_back(std::move(view));
+  }
   SHALE_TRY(const std::vector<Fields> images, root.list("images"));
   for (const Fields& fields : images) {
     SHALE_TRY(FrameImage image, parse_image(fields));
@@ -190,8 +367,9 @@ Result<Frame> parse_frame(const std::string& text) {
     frame.passes.push_back(std::move(pass));
   }
   if (std::count_if(frame.passes.begin(), frame.passes.end(),
-                    [](const FramePass& pass) { return pass.is_graph; }) != 1)
-    return bad_input("frame.passes", "exactly one entry must be {{\"graph\": ...}}");
+                    [](const FramePass& pass) { return pass.is_graph; }) > 1)
+    return bad_input("frame.passes", "only one entry may be {{\"graph\": ...}}");
+  if (frame.passes.empty()) return bad_input("frame.passes", "there is no pass");
   return frame;
 }
 

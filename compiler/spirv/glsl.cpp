@@ -3,6 +3,7 @@
 #include <glslang/Public/ShaderLang.h>
 #include <glslang/SPIRV/GlslangToSpv.h>
 
+#include <deque>
 #include <memory>
 
 #include "compiler/spirv/include_embedded.h"
@@ -16,17 +17,26 @@ struct GlslangProcess {
   ~GlslangProcess() { glslang::FinalizeProcess(); }
 };
 
-class EmbeddedIncluder : public glslang::TShader::Includer {
+class Includer : public glslang::TShader::Includer {
  public:
+  explicit Includer(const IncludeLoader& load) : load_(load) {}
+
   IncludeResult* includeLocal(const char* header, const char*, size_t depth) override {
     if (depth > 8) return nullptr;
     for (const embedded_include::EmbeddedFile& file : embedded_include::kEmbeddedFiles)
       if (file.name == header)
         return new IncludeResult(std::string(file.name), file.text.data(), file.text.size(),
                                  nullptr);
-    return nullptr;
+    Result<std::string> text = load_ ? load_(header) : Result<std::string>(std::string());
+    if (!load_ || !text) return nullptr;
+    const std::string& kept = texts_.emplace_back(*std::move(text));
+    return new IncludeResult(header, kept.data(), kept.size(), nullptr);
   }
   void releaseInclude(IncludeResult* result) override { delete result; }
+
+ private:
+  const IncludeLoader& load_;
+  std::deque<std::string> texts_;  // a deque: results point into it
 };
 
 /// Limits of the compiler's own checks; the device's are checked by the runtime.
@@ -62,7 +72,7 @@ std::string first_error(const char* log) {
 }  // namespace
 
 Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
-                           const std::string& where) {
+                           const std::string& where, const IncludeLoader& load) {
   static const GlslangProcess process;
   std::string preamble = "#extension GL_GOOGLE_include_directive : require\n";
   for (const auto& [name, value] : defines) preamble += "#define " + name + " " + value + "\n";
@@ -81,7 +91,7 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
   shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_5);
   const TBuiltInResource limits = resource_limits();
   const EShMessages messages = static_cast<EShMessages>(EShMsgSpvRules | EShMsgVulkanRules);
-  EmbeddedIncluder includer;
+  Includer includer(load);
   if (!shader.parse(&limits, 450, ENoProfile, false, false, messages, includer))
     return bad_input(where, "the shader does not compile: {}", first_error(shader.getInfoLog()));
   glslang::TProgram program;

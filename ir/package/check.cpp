@@ -1,5 +1,6 @@
 // What read_package and the runtime ask of a package, beyond what the FlatBuffers verifier can see.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <set>
 
@@ -202,6 +203,69 @@ Result<void> check_proof(const std::string& where, const RangeProof& proof) {
   return {};
 }
 
+Result<void> check_param(const std::string& where, const Param& param) {
+  if (param.components < 1 || param.components > 4)
+    return bad_input(where, "{} components are outside 1..4", param.components);
+  if (static_cast<uint32_t>(param.source) >= kParamSourceCount)
+    return bad_input(where, "source {} does not exist", static_cast<uint32_t>(param.source));
+  if (param.source == ParamSource::kReset && (!param.is_integer || param.components != 1))
+    return bad_input(where, "the reset flag must be one integer");
+  const uint32_t alignment = param.components == 1 ? 4 : param.components == 2 ? 8 : 16;
+  if (param.offset_bytes % alignment != 0 ||
+      param.offset_bytes > kMaxParamBytes - 4 * param.components)
+    return bad_input(where, "offset {} is no multiple of {}, or leaves the {} bytes", 
+                     param.offset_bytes, alignment, kMaxParamBytes);
+  if (param.default_values.size() != param.components)
+    return bad_input(where, "{} default values, expected {}", param.default_values.size(),
+                     param.components);
+  for (const float value : param.default_values)
+    if (!std::isfinite(value) || (param.is_integer && (value != std::floor(value) ||
+                                                       std::abs(value) > 16777216.0f)))
+      return bad_input(where, "the default value {} is no {}", value,
+                       param.is_integer ? "exact integer" : "finite number");
+  return {};
+}
+
+Result<void> check_params(const std::string& where, const Variant& variant) {
+  std::set<std::string_view> names;
+  std::array<bool, kMaxParamBytes / 4> used{};
+  for (const Param& param : variant.params) {
+    const std::string at = fmt::format("{}, parameter \"{}\"", where, param.name);
+    SHALE_TRY_VOID(check_unique_name(at, "parameter name", param.name, names));
+    SHALE_TRY_VOID(check_param(at, param));
+    for (uint32_t i = 0; i < param.components; ++i) {
+      if (used[param.offset_bytes / 4 + i])
+        return bad_input(at, "shares byte {} with another", param.offset_bytes + 4 * i);
+      used[param.offset_bytes / 4 + i] = true;
+    }
+  }
+  return {};
+}
+
+Result<void> check_view(const std::string& where, const View& view, const Variant& variant) {
+  SHALE_TRY_VOID(check_name(where, "title", view.title));
+  if (view.resource >= variant.resources.size())
+    return bad_input(where, "resource {} does not exist, there are {}", view.resource,
+                     variant.resources.size());
+  const Resource& resource = variant.resources[view.resource];
+  const bool shown = is_image(resource.category) ||
+                     ((resource.category == Category::kInput ||
+                       resource.category == Category::kOutput) &&
+                      resource.shape.size() == 4 && resource.shape[0] == 1 &&
+                      resource.dtype == DType::kInt8);
+  if (!shown) return bad_input(where, "\"{}\" cannot be viewed", resource.name);
+  const uint64_t channels = is_image(resource.category)
+                                ? image_format_info(resource.format).channels
+                                : static_cast<uint64_t>(resource.shape[3]);
+  if (view.channels < 1 || view.channels > 3 || view.first_channel >= channels ||
+      view.channels > channels - view.first_channel)
+    return bad_input(where, "{} channels from {} on are not in the {} of \"{}\"", view.channels,
+                     view.first_channel, channels, resource.name);
+  if (!std::isfinite(view.low) || !std::isfinite(view.high) || view.low == view.high)
+    return bad_input(where, "{}..{} is no range", view.low, view.high);
+  return {};
+}
+
 Result<void> check_requirements(const std::string& where, const Variant& variant) {
   if (variant.requirements.features.bits >> kFeatureCount)
     return bad_input(where, "feature bits {:#x} do not exist",
@@ -261,7 +325,11 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
                                     dispatch, variant, segment.kind));
     }
   }
-  if (graphs != 1) return bad_input(where, "has {} graph segments, expected exactly one", graphs);
+  if (graphs > 1) return bad_input(where, "has {} graph segments, expected at most one", graphs);
+  if (variant.segments.empty()) return bad_input(where, "has no segment");
+  SHALE_TRY_VOID(check_params(where, variant));
+  for (size_t i = 0; i < variant.views.size(); ++i)
+    SHALE_TRY_VOID(check_view(fmt::format("{}, view {}", where, i), variant.views[i], variant));
   for (size_t i = 0; i < variant.proofs.size(); ++i) {
     const std::string at = fmt::format("{}, proof {}", where, i);
     SHALE_TRY_VOID(check_name(at, "name", variant.proofs[i].name));

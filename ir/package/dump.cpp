@@ -92,6 +92,15 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
     line(text, "    {:3} {} words, hash {:016x}", i, words.size(),
          stable_hash({bytes, words.size() * sizeof(uint32_t)}));
   }
+  if (!variant.params.empty()) line(text, "  parameters: {}", variant.params.size());
+  for (const Param& p : variant.params)
+    line(text, "    {:3} {}{} \"{}\" = {}{}", p.offset_bytes, p.is_integer ? "i32" : "f32",
+         p.components > 1 ? fmt::format("[{}]", p.components) : "", p.name,
+         fmt::join(p.default_values, ","), p.source == ParamSource::kReset ? " (reset)" : "");
+  if (!variant.views.empty()) line(text, "  views: {}", variant.views.size());
+  for (const View& v : variant.views)
+    line(text, "    \"{}\": channels {}..{} of \"{}\", {} to {}", v.title, v.first_channel,
+         v.first_channel + v.channels - 1, variant.resources[v.resource].name, v.low, v.high);
   line(text, "  proofs: {}", variant.proofs.size());
   for (const RangeProof& proof : variant.proofs) {
     line(text, "    \"{}\": {} channels", proof.name, proof.min.size());

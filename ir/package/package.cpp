@@ -1,5 +1,6 @@
 #include "ir/package/package.h"
 
+#include <algorithm>
 #include <bit>
 
 #include "ir/schema/package_generated.h"
@@ -14,22 +15,25 @@ static_assert(std::endian::native == std::endian::little, "vectors are copied as
 static_assert(static_cast<uint32_t>(fbs::Category::MAX) + 1 == kCategoryCount);
 static_assert(static_cast<uint32_t>(fbs::ImageFormat::MAX) + 1 == kImageFormatCount);
 static_assert(static_cast<uint32_t>(fbs::BindingType::MAX) + 1 == kBindingTypeCount);
+static_assert(static_cast<uint32_t>(fbs::ParamSource::MAX) + 1 == kParamSourceCount);
 
 /// Lengths of files are multiples of this, so that no cut goes unseen in the padding at the end.
 constexpr size_t kFileAlignment = 8;
 
 constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
-    {ImageFormat::kNone, "none", "", 0},
-    {ImageFormat::kRgba8Unorm, "rgba8_unorm", "rgba8", 4},
-    {ImageFormat::kRgba16Float, "rgba16_float", "rgba16f", 8},
-    {ImageFormat::kRg16Float, "rg16_float", "rg16f", 4},
-    {ImageFormat::kR32Float, "r32_float", "r32f", 4},
-    {ImageFormat::kR8Unorm, "r8_unorm", "r8", 1},
-    {ImageFormat::kR32Uint, "r32_uint", "r32ui", 4},
-    {ImageFormat::kRgba32Float, "rgba32_float", "rgba32f", 16},
-    {ImageFormat::kR16Float, "r16_float", "r16f", 2},
-    {ImageFormat::kRgba8Sint, "rgba8_sint", "rgba8i", 4},
-    {ImageFormat::kR8Sint, "r8_sint", "r8i", 1},
+    {ImageFormat::kNone, "none", "", 0, 0},
+    {ImageFormat::kRgba8Unorm, "rgba8_unorm", "rgba8", 4, 4},
+    {ImageFormat::kRgba16Float, "rgba16_float", "rgba16f", 8, 4},
+    {ImageFormat::kRg16Float, "rg16_float", "rg16f", 4, 2},
+    {ImageFormat::kR32Float, "r32_float", "r32f", 4, 1},
+    {ImageFormat::kR8Unorm, "r8_unorm", "r8", 1, 1},
+    {ImageFormat::kR32Uint, "r32_uint", "r32ui", 4, 1},
+    {ImageFormat::kRgba32Float, "rgba32_float", "rgba32f", 16, 4},
+    {ImageFormat::kR16Float, "r16_float", "r16f", 2, 1},
+    {ImageFormat::kRgba8Sint, "rgba8_sint", "rgba8i", 4, 4},
+    {ImageFormat::kR8Sint, "r8_sint", "r8i", 1, 1},
+    {ImageFormat::kRg8Unorm, "rg8_unorm", "rg8", 2, 2},
+    {ImageFormat::kRgba8Snorm, "rgba8_snorm", "rgba8_snorm", 4, 4},
 }};
 
 // ---- Writing: plain data to tables, children first, always in the same order.
@@ -90,6 +94,18 @@ Offset<fbs::RangeProof> write_proof(Builder& builder, const RangeProof& p) {
   return fbs::CreateRangeProof(builder, name, min, max, magnitude);
 }
 
+Offset<fbs::Param> write_param(Builder& builder, const Param& p) {
+  const auto name = builder.CreateString(p.name);
+  const auto values = builder.CreateVector(p.default_values);
+  return fbs::CreateParam(builder, name, p.is_integer, p.components, p.offset_bytes,
+                          static_cast<fbs::ParamSource>(p.source), values);
+}
+
+Offset<fbs::View> write_view(Builder& builder, const View& v) {
+  return fbs::CreateView(builder, builder.CreateString(v.title), v.resource, v.first_channel,
+                         v.channels, v.low, v.high);
+}
+
 Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto target = builder.CreateString(v.target);
   const Requirements& r = v.requirements;
@@ -100,8 +116,10 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto segments = write_all<fbs::Segment>(builder, v.segments, write_segment);
   const auto modules = write_all<fbs::Module>(builder, v.modules, write_module);
   const auto proofs = write_all<fbs::RangeProof>(builder, v.proofs, write_proof);
+  const auto params = write_all<fbs::Param>(builder, v.params, write_param);
+  const auto views = write_all<fbs::View>(builder, v.views, write_view);
   return fbs::CreateVariant(builder, target, requirements, v.arena_bytes, resources, segments,
-                            modules, proofs);
+                            modules, proofs, params, views);
 }
 
 // ---- Reading: verified tables to plain data. check_package judges the enum values later.
@@ -130,7 +148,7 @@ class Copier {
     std::vector<decltype(read(*this, *vector->Get(0)))> values;
     // A reference and the least that a table takes.
     constexpr size_t kTableBytes = 8;
-    if (!pay(vector->size() * kTableBytes)) return values;
+    if (!vector || !pay(vector->size() * kTableBytes)) return values;
     values.reserve(vector->size());
     for (const Table* table : *vector) {
       if (overdrawn_) break;
@@ -209,6 +227,24 @@ RangeProof read_proof(Copier& copy, const fbs::RangeProof& p) {
   return proof;
 }
 
+Param read_param(Copier& copy, const fbs::Param& p) {
+  return {.name = copy.text(p.name()),
+          .is_integer = p.is_integer(),
+          .components = p.components(),
+          .offset_bytes = p.offset_bytes(),
+          .source = static_cast<ParamSource>(p.source()),
+          .default_values = copy.scalars(p.default_values())};
+}
+
+View read_view(Copier& copy, const fbs::View& v) {
+  return {.title = copy.text(v.title()),
+          .resource = v.resource(),
+          .first_channel = v.first_channel(),
+          .channels = v.channels(),
+          .low = v.low(),
+          .high = v.high()};
+}
+
 Variant read_variant(Copier& copy, const fbs::Variant& v) {
   Variant variant;
   variant.target = copy.text(v.target());
@@ -226,6 +262,8 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   variant.segments = copy.tables(v.segments(), read_segment);
   variant.modules = copy.tables(v.modules(), read_module);
   variant.proofs = copy.tables(v.proofs(), read_proof);
+  variant.params = copy.tables(v.params(), read_param);
+  variant.views = copy.tables(v.views(), read_view);
   return variant;
 }
 
@@ -274,6 +312,13 @@ std::optional<ImageFormat> image_format_from_name(std::string_view name) {
   for (const ImageFormatInfo& info : kImageFormats)
     if (info.format != ImageFormat::kNone && info.name == name) return info.format;
   return std::nullopt;
+}
+
+uint32_t param_bytes(const Variant& variant) {
+  uint32_t bytes = 0;
+  for (const Param& param : variant.params)
+    bytes = std::max(bytes, param.offset_bytes + 4 * param.components);
+  return bytes;
 }
 
 std::vector<uint8_t> write_package(const Package& package) {

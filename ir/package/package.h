@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 0;
+inline constexpr uint32_t kPackageMinor = 1;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -34,6 +34,7 @@ inline constexpr uint64_t kMaxTensorBytes = uint64_t{1} << 40;
 inline constexpr uint32_t kMaxImageExtent = 16384;
 inline constexpr uint32_t kMaxHistoryDepth = 16;
 inline constexpr uint32_t kMaxBindings = 64;  ///< binding numbers of a dispatch are below this
+inline constexpr uint32_t kMaxParamBytes = 128;  ///< push constants that every Vulkan device has
 
 /// How a resource comes into being and who owns its memory.
 enum class Category : uint8_t {
@@ -62,15 +63,19 @@ enum class ImageFormat : uint8_t {
   kR16Float = 8,
   kRgba8Sint = 9,  ///< texel buffers of int8 tensors, four channels a texel
   kR8Sint = 10,    ///< texel buffers of int8 tensors, one channel a texel
+  kRg8Unorm = 11,
+  kRgba8Snorm = 12,
 };
-inline constexpr uint32_t kImageFormatCount = 11;
+inline constexpr uint32_t kImageFormatCount = 13;
 
-/// Names as in frame.json ("rgba8_unorm") and in GLSL layouts ("rgba8"), bytes of a texel.
+/// Names as in frame.json ("rgba8_unorm") and in GLSL layouts ("rgba8"), bytes and channels of a
+/// texel.
 struct ImageFormatInfo {
   ImageFormat format;
   const char* name;
   const char* glsl;
   uint32_t texel_bytes;
+  uint32_t channels;
 };
 const ImageFormatInfo& image_format_info(ImageFormat format);
 std::optional<ImageFormat> image_format_from_name(std::string_view name);
@@ -145,9 +150,40 @@ struct Dispatch {
   bool operator==(const Dispatch&) const = default;
 };
 
+/// Who gives a parameter its value.
+enum class ParamSource : uint8_t {
+  kHost = 0,   ///< the host, by name; until then the default
+  kReset = 1,  ///< the frame loop: 1 in a frame whose histories hold nothing, else 0
+};
+inline constexpr uint32_t kParamSourceCount = 2;
+
+/// A value that may change from frame to frame, for the passes of the kCompute segments: part of
+/// their push constants. Vectors are aligned as in std430: two components to 8 bytes, three and
+/// four to 16.
+struct Param {
+  std::string name;  ///< unique among the parameters of a variant
+  bool is_integer = false;
+  uint32_t components = 1;  ///< 1 to 4 values of 32 bits
+  uint32_t offset_bytes = 0;
+  ParamSource source = ParamSource::kHost;
+  std::vector<float> default_values;  ///< one per component; whole numbers for integers
+  bool operator==(const Param&) const = default;
+};
+
+/// How a person may look at one to three channels of a resource: `low` shows black, `high` white.
+/// For debug views; nothing depends on it.
+struct View {
+  std::string title;
+  uint32_t resource = 0;
+  uint32_t first_channel = 0, channels = 1;
+  float low = 0, high = 1;
+  bool operator==(const View&) const = default;
+};
+
 enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1 };
 
-/// Dispatches in order. A pre or post pass is a kCompute segment around the kGraph segment.
+/// Dispatches in order. A pre or post pass is a kCompute segment around the kGraph segment; a
+/// variant without a kGraph segment is a sandwich without a network.
 struct Segment {
   std::string name;
   SegmentKind kind = SegmentKind::kGraph;
@@ -174,6 +210,8 @@ struct Variant {
   std::vector<Segment> segments;
   std::vector<Spirv> modules;
   std::vector<RangeProof> proofs;
+  std::vector<Param> params;
+  std::vector<View> views;
   bool operator==(const Variant&) const = default;
 };
 
@@ -201,10 +239,13 @@ Requirements binding_requirements(const Variant& variant);
 /// Everything that the runtime relies on, on plain data: enum values, indices, ranges inside the
 /// arena and the weight blob, sizes that follow from shapes, alignments, unique names without
 /// control characters, binding rules, SPIR-V magic and length, grids in 1..kMaxWorkgroups, history
-/// rules, one graph segment per variant, requirements that cover the bindings. The body of the
+/// rules, parameters inside their block, at most one graph segment per variant, requirements that cover the bindings. The body of the
 /// SPIR-V is not judged: a driver gets it as it gets any application's shader.
 /// Errors: kBadInput, naming what and where ('variant 0, dispatch "conv1", binding 2: ...').
 Result<void> check_package(const Package& package);
+
+/// Bytes of the push constants of a variant's passes; 0 if it has no parameters.
+uint32_t param_bytes(const Variant& variant);
 
 /// Same package, same bytes. `package` must pass check_package; the result then passes
 /// read_package.

@@ -22,19 +22,24 @@ VkDescriptorType descriptor_type(BindingType type) {
   return VK_DESCRIPTOR_TYPE_MAX_ENUM;
 }
 
-/// Descriptor types by binding number: dispatches with equal ones share a layout.
-using LayoutKey = std::map<uint32_t, VkDescriptorType>;
+/// Descriptor types by binding number, bytes of push constants: dispatches with equal ones share a
+/// layout.
+struct LayoutKey {
+  std::map<uint32_t, VkDescriptorType> types;
+  uint32_t push_bytes = 0;
+  auto operator<=>(const LayoutKey&) const = default;
+};
 
-LayoutKey layout_key(const Dispatch& dispatch) {
-  LayoutKey key;
+LayoutKey layout_key(const Dispatch& dispatch, uint32_t push_bytes) {
+  LayoutKey key{{}, push_bytes};
   for (const Binding& binding : dispatch.bindings)
-    key[binding.binding] = descriptor_type(binding.type);
+    key.types[binding.binding] = descriptor_type(binding.type);
   return key;
 }
 
 Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& key) {
   std::vector<VkDescriptorSetLayoutBinding> bindings;
-  for (const auto& [number, type] : key)
+  for (const auto& [number, type] : key.types)
     bindings.push_back({number, type, 1, VK_SHADER_STAGE_COMPUTE_BIT, nullptr});
   auto info = vk::init<VkDescriptorSetLayoutCreateInfo>(
       VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
@@ -44,10 +49,14 @@ Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& 
                                        device, info);
 }
 
-Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetLayout set_layout) {
+Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetLayout set_layout,
+                                               uint32_t push_bytes) {
   auto info = vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
   info.setLayoutCount = 1;
   info.pSetLayouts = &set_layout;
+  const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, push_bytes};
+  info.pushConstantRangeCount = push_bytes > 0 ? 1 : 0;
+  info.pPushConstantRanges = &range;
   return vk::make<vk::PipelineLayoutHandle>(vkCreatePipelineLayout, "vkCreatePipelineLayout",
                                             device, info);
 }
@@ -111,12 +120,13 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
   result->variant_ = variant;
   result->variant_.modules.clear();
 
-  std::vector<const Dispatch*> dispatches;
+  std::vector<Wanted> dispatches;
   std::vector<std::vector<Access>> touched;
   for (const Segment& segment : result->variant_.segments) {
-    if (scope == Scope::kGraph && segment.kind != SegmentKind::kGraph) continue;
+    const bool is_pass = segment.kind == SegmentKind::kCompute;
+    if (scope == Scope::kGraph && is_pass) continue;
     for (const Dispatch& dispatch : segment.dispatches) {
-      dispatches.push_back(&dispatch);
+      dispatches.push_back({&dispatch, is_pass ? param_bytes(variant) : 0});
       touched.push_back(accesses(result->variant_, dispatch));
     }
   }
@@ -132,23 +142,23 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
   return result;
 }
 
-Result<void> Kernels::create_pipelines(const Variant& variant,
-                                       std::span<const Dispatch* const> dispatches,
+Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const Wanted> dispatches,
                                        VkPipelineCache cache) {
-  struct Wanted {
+  struct Unique {
     uint32_t module;
     size_t layout;
   };
   std::map<LayoutKey, size_t> layout_index;
   std::map<std::pair<uint32_t, size_t>, size_t> pipeline_index;
-  std::vector<Wanted> wanted;
+  std::vector<Unique> wanted;
   std::vector<size_t> pipeline_of_step;
-  for (const Dispatch* dispatch : dispatches) {
+  for (const auto& [dispatch, push_bytes] : dispatches) {
     const auto [layout, new_layout] =
-        layout_index.try_emplace(layout_key(*dispatch), layouts_.size());
+        layout_index.try_emplace(layout_key(*dispatch, push_bytes), layouts_.size());
     if (new_layout) {
       SHALE_TRY(set_layouts_.emplace_back(), create_set_layout(context_.device, layout->first));
-      SHALE_TRY(layouts_.emplace_back(), create_layout(context_.device, set_layouts_.back().get()));
+      SHALE_TRY(layouts_.emplace_back(),
+                create_layout(context_.device, set_layouts_.back().get(), push_bytes));
     }
     const auto [pipeline, new_pipeline] =
         pipeline_index.try_emplace({dispatch->module, layout->second}, wanted.size());
@@ -156,7 +166,8 @@ Result<void> Kernels::create_pipelines(const Variant& variant,
     pipeline_of_step.push_back(pipeline->second);
     steps_.push_back({.dispatch = dispatch,
                       .set_layout = set_layouts_[layout->second].get(),
-                      .layout = layouts_[layout->second].get()});
+                      .layout = layouts_[layout->second].get(),
+                      .takes_params = push_bytes > 0});
   }
 
   pipelines_.resize(wanted.size());
@@ -265,7 +276,8 @@ Result<void> DescriptorSets::write(size_t index,
 }
 
 void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
-                  std::span<const VkDescriptorSet> sets, vk::Timestamps* timestamps) {
+                  std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
+                  vk::Timestamps* timestamps) {
   if (timestamps) timestamps->start(commands);
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& step = steps[i];
@@ -276,6 +288,9 @@ void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
     vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
     vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],
                             0, nullptr);
+    if (step.takes_params)
+      vkCmdPushConstants(commands, step.layout, VK_SHADER_STAGE_COMPUTE_BIT, 0,
+                         static_cast<uint32_t>(params.size()), params.data());
     const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
     vkCmdDispatch(commands, grid[0], grid[1], grid[2]);
     if (timestamps) timestamps->mark(commands);

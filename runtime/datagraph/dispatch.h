@@ -29,6 +29,7 @@ struct Step {
   VkDescriptorSetLayout set_layout = VK_NULL_HANDLE;
   VkPipelineLayout layout = VK_NULL_HANDLE;
   VkPipeline pipeline = VK_NULL_HANDLE;
+  bool takes_params = false;  ///< its layout has the variant's push constants
   bool barrier_before = false;
 };
 
@@ -57,7 +58,11 @@ class Kernels {
 
  private:
   Kernels() = default;
-  Result<void> create_pipelines(const Variant& variant, std::span<const Dispatch* const> dispatches,
+  struct Wanted {
+    const Dispatch* dispatch;
+    uint32_t push_bytes;
+  };
+  Result<void> create_pipelines(const Variant& variant, std::span<const Wanted> dispatches,
                                 VkPipelineCache cache);
 
   vk::Context context_;
@@ -98,10 +103,12 @@ class DescriptorSets {
   std::vector<std::vector<vk::BufferViewHandle>> texel_views_;  // by set
 };
 
-/// Records the steps in order, each with its set and the barrier before it; `timestamps` may be
-/// null and otherwise is started and marked after each step.
+/// Records the steps in order, each with its set and the barrier before it; `params` are the push
+/// constants of steps that take them, `timestamps` may be null and otherwise is started and marked
+/// after each step.
 void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
-                  std::span<const VkDescriptorSet> sets, vk::Timestamps* timestamps);
+                  std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
+                  vk::Timestamps* timestamps);
 
 /// Index of the first variant that a device with `caps` can run.
 /// Errors: kDevice, telling what is missing for each variant.

@@ -119,7 +119,7 @@ Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamp
       }));
     state_->descriptors_written = true;
   }
-  record_steps(commands, kernels.steps(), state_->sets, timestamps);
+  record_steps(commands, kernels.steps(), state_->sets, {}, timestamps);
   return {};
 }
 

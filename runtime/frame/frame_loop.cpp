@@ -1,6 +1,9 @@
 #include "runtime/frame/frame_loop.h"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
 #include <numeric>
 
 #include "runtime/datagraph/dispatch.h"
@@ -56,12 +59,14 @@ struct FrameLoop::State {
   std::vector<uint64_t> slot_bindings;             // by slot: `bindings` when it was written
   uint64_t bindings = 1;                           // grows with each bind_image
 
+  std::vector<uint8_t> params;  // push constants of the passes
   uint64_t frame = 0;
   bool clear_history = true;
 
   Result<void> create_tensors();
   Result<void> create_images();
   Result<void> create_sets(uint32_t slots);
+  void set(const Param& param, std::span<const float> values);
   Target target(const Binding& binding) const;
   void record_clears(VkCommandBuffer commands) const;
 };
@@ -88,6 +93,8 @@ Result<FrameLoop> FrameLoop::create(const vk::Context& context, const Package& p
   SHALE_TRY_VOID(state->create_tensors());
   SHALE_TRY_VOID(state->create_images());
   SHALE_TRY_VOID(state->create_sets(phases * options.frames_in_flight));
+  state->params.resize(param_bytes(variant));
+  for (const Param& param : variant.params) state->set(param, param.default_values);
   return FrameLoop(std::move(state));
 }
 
@@ -200,7 +207,11 @@ Target FrameLoop::State::target(const Binding& binding) const {
 void FrameLoop::State::record_clears(VkCommandBuffer commands) const {
   const VkClearColorValue zero{};
   for (size_t i = 0; i < images.size(); ++i) {
-    if (kernels->variant().resources[i].category != Category::kImageHistory) continue;
+    const Resource& resource = kernels->variant().resources[i];
+    // A pass may read what the network gave in the frame before.
+    if (resource.category == Category::kOutput)
+      vkCmdFillBuffer(commands, graph_tensors.get(), offsets[i], bound_bytes(resource), 0);
+    if (resource.category != Category::kImageHistory) continue;
     for (const vk::Image& image : images[i])
       vkCmdClearColorImage(commands, image.get(), VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
                            &vk::kWholeImage);
@@ -230,6 +241,31 @@ Result<void> FrameLoop::bind_image(std::string_view name, const ImageView& image
   return bad_input("", "the package has no input or output image \"{}\"", name);
 }
 
+void FrameLoop::State::set(const Param& param, std::span<const float> values) {
+  for (size_t i = 0; i < values.size(); ++i) {
+    const int32_t whole = static_cast<int32_t>(param.is_integer ? values[i] : 0.0f);
+    std::memcpy(&params[param.offset_bytes + 4 * i],
+                param.is_integer ? static_cast<const void*>(&whole) : &values[i], 4);
+  }
+}
+
+Result<void> FrameLoop::set_param(std::string_view name, std::span<const float> values) {
+  for (const Param& param : variant().params) {
+    if (param.name != name || param.source != ParamSource::kHost) continue;
+    const std::string where = fmt::format("parameter \"{}\"", name);
+    if (values.size() != param.components)
+      return bad_input(where, "{} values are given, expected {}", values.size(), param.components);
+    for (const float value : values)
+      if (!std::isfinite(value) ||
+          (param.is_integer && (value != std::floor(value) || std::abs(value) > 16777216.0f)))
+        return bad_input(where, "{} is no {}", value,
+                         param.is_integer ? "exact integer" : "finite number");
+    state_->set(param, values);
+    return {};
+  }
+  return bad_input("", "the package has no parameter \"{}\"", name);
+}
+
 void FrameLoop::reset_history() { state_->clear_history = true; }
 
 Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timestamps) {
@@ -251,6 +287,9 @@ Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timesta
 
   constexpr VkPipelineStageFlags kCompute = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT;
   constexpr VkAccessFlags kUse = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT;
+  for (const Param& param : variant().params)
+    if (param.source == ParamSource::kReset)
+      state.set(param, std::array{state.clear_history ? 1.0f : 0.0f});
   if (state.clear_history) {
     constexpr VkPipelineStageFlags kTransfer = VK_PIPELINE_STAGE_TRANSFER_BIT;
     vk::memory_barrier(commands, kCompute, VK_ACCESS_SHADER_WRITE_BIT, kTransfer,
@@ -262,7 +301,7 @@ Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timesta
   } else {
     vk::memory_barrier(commands, kCompute, VK_ACCESS_SHADER_WRITE_BIT, kCompute, kUse);
   }
-  record_steps(commands, state.kernels->steps(), state.sets[slot], timestamps);
+  record_steps(commands, state.kernels->steps(), state.sets[slot], state.params, timestamps);
   ++state.frame;
   return {};
 }
@@ -278,6 +317,17 @@ Result<TensorView> FrameLoop::tensor(std::string_view name) const {
       return TensorView{state_->graph_tensors.get(), state_->offsets[i], bound_bytes(resource)};
   }
   return bad_input("", "the network has no input or output \"{}\"", name);
+}
+
+Result<VkImage> FrameLoop::image(std::string_view name) const {
+  const std::vector<Resource>& resources = variant().resources;
+  for (size_t i = 0; i < resources.size(); ++i) {
+    if (resources[i].name != name || state_->images[i].empty()) continue;
+    // `frame` is the next one already; before the first frame every slot is as good.
+    const uint64_t last = state_->frame == 0 ? 0 : state_->frame - 1;
+    return state_->images[i][last % state_->images[i].size()].get();
+  }
+  return bad_input("", "the frame loop has no image \"{}\"", name);
 }
 
 }  // namespace shale

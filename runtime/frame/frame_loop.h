@@ -5,6 +5,7 @@
 #include <vulkan/vulkan.h>
 
 #include <memory>
+#include <span>
 #include <string_view>
 
 #include "ir/package/package.h"
@@ -75,7 +76,14 @@ class FrameLoop {
   /// extent differs.
   Result<void> bind_image(std::string_view name, const ImageView& image);
 
-  /// The next recorded frame finds all histories zero, as after a scene cut.
+  /// Sets a parameter of the package's passes for the frames recorded from now on. Integers are
+  /// given as whole numbers.
+  /// Errors: kBadInput if the host sets no parameter of that name, the number of values differs, a
+  /// value is not finite, or an integer is not exact.
+  Result<void> set_param(std::string_view name, std::span<const float> values);
+
+  /// The next recorded frame finds all histories and network outputs zero, as after a scene cut,
+  /// and the package's reset parameter 1. The first frame is such a frame.
   void reset_history();
 
   /// Adds one frame to a command buffer that is being recorded, outside of a render pass, and moves
@@ -93,6 +101,11 @@ class FrameLoop {
   /// as for images.
   /// Errors: kBadInput if no graph input or output has that name.
   Result<TensorView> tensor(std::string_view name) const;
+
+  /// An image of the loop's own as the last recorded frame left it, in VK_IMAGE_LAYOUT_GENERAL; of
+  /// a history the one that it wrote. For debugging: it allows transfers from it.
+  /// Errors: kBadInput if no internal or history image has that name, or no pass uses it.
+  Result<VkImage> image(std::string_view name) const;
 
  private:
   struct State;

@@ -124,6 +124,8 @@ VkFormat vk_format(ImageFormat format) {
       VK_FORMAT_R16_SFLOAT,
       VK_FORMAT_R8G8B8A8_SINT,
       VK_FORMAT_R8_SINT,
+      VK_FORMAT_R8G8_UNORM,
+      VK_FORMAT_R8G8B8A8_SNORM,
   };
   SHALE_CHECK(format != ImageFormat::kNone);
   return kFormats[static_cast<uint32_t>(format)];

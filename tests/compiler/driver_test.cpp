@@ -240,14 +240,23 @@ TEST(Driver, AppliesInputShapes) {
 
 constexpr const char* kFrame = R"({
   "schema": "shale-frame/1",
-  "images": [
-    {"name": "color", "role": "input", "format": "rgba8_unorm", "scale": 1},
-    {"name": "shown", "role": "output", "format": "rgba8_unorm", "scale": 2},
-    {"name": "kept", "role": "history", "format": "rgba16_float", "scale": 1, "depth": 3}
+  "render": [10, 6],
+  "output": [20, 12],
+  "ratio": [1.5, 3],
+  "params": [
+    {"name": "near", "type": "float", "default": [0.5]},
+    {"name": "jitter", "type": "vec2"},
+    {"name": "fresh", "type": "int", "reset": true}
   ],
-  "tensors": [{"name": "x", "scale": 0.5, "zero_point": -3}],
+  "images": [
+    {"name": "color", "role": "input", "format": "rgba8_unorm", "size": "render"},
+    {"name": "shown", "role": "output", "format": "rgba8_unorm", "size": "output"},
+    {"name": "kept", "role": "history", "format": "rgba16_float", "size": {"of": "render", "divide": 4, "multiple": 8}, "depth": 3}
+  ],
+  "tensors": [{"name": "x", "scale": 0.5, "zero_point": -3, "size": "render"}],
+  "views": [{"title": "input", "of": "x", "first": 1, "channels": 3}],
   "passes": [
-    {"name": "pre", "shader": "pre.comp", "over": "color", "workgroup": [8, 4], "bindings": [
+    {"name": "pre", "shader": "pre.comp", "over": "color", "workgroup": [8, 4], "defines": {"SIDE": 2, "LEAST": 0.25}, "bindings": [
       {"binding": 0, "image": "color", "access": "read"},
       {"binding": 1, "image": "kept", "access": "read", "frames_back": 2},
       {"binding": 2, "tensor": "x", "access": "write"}]},
@@ -266,11 +275,24 @@ TEST(FrameJson, ReadsEveryField) {
   EXPECT_EQ(frame.images[0].category, Category::kImageInput);
   EXPECT_EQ(frame.images[0].format, ImageFormat::kRgba8Unorm);
   EXPECT_EQ(frame.images[1].category, Category::kImageOutput);
-  EXPECT_EQ(frame.images[1].scale, 2.0);
+  EXPECT_TRUE(frame.images[1].size.of_output);
+  EXPECT_EQ(frame.images[2].size({10, 6}, {20, 12}), (FrameExtent{8, 8}));
+  EXPECT_EQ(frame.images[2].size({33, 32}, {66, 64}), (FrameExtent{16, 8}));
   EXPECT_EQ(frame.images[2].category, Category::kImageHistory);
   EXPECT_EQ(frame.images[2].history_depth, 3u);
   ASSERT_EQ(frame.tensors.size(), 1u);
   EXPECT_EQ(frame.tensors[0].quantization, (Quantization{0.5f, -3}));
+  ASSERT_TRUE(frame.tensors[0].size);
+  EXPECT_EQ(frame.render, (FrameExtent{10, 6}));
+  EXPECT_EQ(frame.max_ratio, 3.0);
+  ASSERT_EQ(frame.params.size(), 3u);
+  EXPECT_EQ(frame.params[0].default_values, std::vector<float>{0.5f});
+  EXPECT_EQ(frame.params[1].offset_bytes, 8u);
+  EXPECT_EQ(frame.params[2].offset_bytes, 16u);
+  EXPECT_EQ(frame.params[2].source, ParamSource::kReset);
+  ASSERT_EQ(frame.views.size(), 1u);
+  EXPECT_EQ(frame.views[0].view.first_channel, 1u);
+  ASSERT_EQ(frame.passes[0].defines.size(), 2u);
   ASSERT_EQ(frame.passes.size(), 3u);
   EXPECT_EQ(frame.passes[0].workgroup[0], 8u);
   EXPECT_EQ(frame.passes[0].workgroup[1], 4u);
@@ -297,13 +319,32 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
        "frame.images[0]: the name \"col or\" is no identifier"},
       {"\"role\": \"input\"", "\"role\": \"in\"", "frame.images[0]: role \"in\" is none of"},
       {"\"role\": \"input\",", "", "frame.images[0]: \"role\" must be a text"},
-      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba9\", \"scale\": 1}",
+      {"\"rgba8_unorm\", \"size\": \"render\"}", "\"rgba9\", \"size\": \"render\"}",
        "frame.images[0]: format \"rgba9\" is no image format"},
-      {"\"rgba8_unorm\", \"scale\": 1}", "\"rgba8_sint\", \"scale\": 1}",
+      {"\"rgba8_unorm\", \"size\": \"render\"}", "\"rgba8_sint\", \"size\": \"render\"}",
        "frame.images[0]: format \"rgba8_sint\" is no image format"},
-      {"\"scale\": 2", "\"scale\": 17", "frame.images[1]: \"scale\" is 17"},
-      {"\"scale\": 2", "\"scale\": 0", "frame.images[1]: \"scale\" is 0"},
-      {"\"scale\": 2", "\"scale\": \"2\"", "frame.images[1]: \"scale\" must be a number"},
+      {"\"rgba8_unorm\", \"size\": \"output\"}", "\"rgba8_unorm\", \"size\": \"window\"}",
+       "frame.images[1]: \"size\" must be"},
+      {"\"divide\": 4", "\"divide\": 0", "frame.images[2].size: \"divide\" is 0"},
+      {"\"multiple\": 8", "\"multiple\": 1.5", "frame.images[2].size: \"multiple\" is 1.5"},
+      {"\"render\": [10, 6]", "\"render\": [10, 0]", "frame: \"render\" has the side 0"},
+      {"\"output\": [20, 12]", "\"output\": 20", "frame: \"output\" must be a width and a height"},
+      {"\"output\": [20, 12]", "\"output\": [20, 20]", "is a ratio outside 1.5 to 3"},
+      {"[1.5, 3]", "[0.5, 3]", "frame: \"ratio\" is 0.5 to 3, expected a range within 1 to 16"},
+      {"[1.5, 3]", "[\"1\", 3]", "frame: \"ratio\" must be the least and the largest ratio"},
+      {"\"type\": \"vec2\"", "\"type\": \"mat2\"",
+       "frame.params[1]: type \"mat2\" is none of float, vec2..4, int, ivec2..4"},
+      {"\"default\": [0.5]", "\"default\": 0.5", "frame.params[0]: \"default\" must be a list of 1"},
+      {"\"default\": [0.5]", "\"default\": [\"a\"]",
+       "frame.params[0]: \"default\" must be a list of numbers"},
+      {"\"reset\": true", "\"reset\": 1", "frame.params[2]: \"reset\" must be true or false"},
+      {"\"of\": \"x\"", "\"of\": 3", "frame.views[0]: \"of\" must be a text"},
+      {"\"channels\": 3", "\"channels\": 4", "frame.views[0]: \"channels\" is 4"},
+      {"\"SIDE\": 2", "\"SI DE\": 2", "frame.passes[0]: the definition \"SI DE\" is no name"},
+      {"\"SIDE\": 2", "\"SIDE\": \"2\"", "frame.passes[0]: the definition \"SIDE\" is no name"},
+      {"\"tensor\": \"x\", \"access\": \"write\"",
+       "\"tensor\": \"x\", \"access\": \"write\", \"texels\": \"r8_sint\"",
+       "frame.passes[0].bindings[2]: \"texels\" is for tensors that are read"},
       {"\"depth\": 3", "\"depth\": 1", "frame.images[2]: \"depth\" is 1"},
       {"\"depth\": 3", "\"depth\": 2.5", "frame.images[2]: \"depth\" is 2.5, expected an integer"},
       {"\"scale\": 0.5", "\"scale\": 0", "frame.tensors[0]: \"scale\" is 0"},
@@ -327,14 +368,13 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
       {"\"image\": \"kept\", \"access\": \"read\"", "\"image\": 5, \"access\": \"read\"",
        "frame.passes[0].bindings[1]: \"image\" must be a text"},
       {"\"access\": \"read\", \"frames_back\"", "\"access\": \"both\", \"frames_back\"",
-       "frame.passes[0].bindings[1]: access \"both\" is neither"},
+       "frame.passes[0].bindings[1]: access \"both\" is none of"},
       {"\"frames_back\": 2", "\"frames_back\": 8",
        "frame.passes[0].bindings[1]: \"frames_back\" is 8"},
       {"\"access\": \"read\", \"frames_back\"", "\"access\": \"write\", \"frames_back\"",
        "only this frame's image can be written"},
-      {"{\"graph\": \"main\"},", "", "frame.passes: exactly one entry must be {\"graph\": ...}"},
       {"{\"graph\": \"main\"},", "{\"graph\": \"a\"}, {\"graph\": \"b\"},",
-       "frame.passes: exactly one entry must be {\"graph\": ...}"},
+       "frame.passes: only one entry may be {\"graph\": ...}"},
       {"\"images\": [", "\"images\": 3, \"other\": [",
        "frame: \"images\" must be a list of at most 64 entries"},
       {"\"passes\": [", "\"passes\": {}, \"other\": [",
@@ -372,9 +412,10 @@ layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 layout(set = 0, binding = 0) uniform texture2D color;
 layout(set = 0, binding = 1) uniform texture2D kept;
 layout(set = 0, binding = 2, std430) writeonly buffer X { int d[]; } x;
+SHALE_PARAMS;
 void main() {
   if (gl_GlobalInvocationID.x >= X_WIDTH || gl_GlobalInvocationID.y >= X_HEIGHT) return;
-  x.d[0] = int(X_SCALE * float(X_ZERO_POINT + X_CHANNELS + COLOR_WIDTH));
+  x.d[0] = int(X_SCALE * float(X_ZERO_POINT + X_CHANNELS + COLOR_WIDTH + SIDE) * LEAST * params.near) + params.fresh;
 })");
       if (path == "post.comp")
         return std::string(R"(#version 450
@@ -412,7 +453,7 @@ TEST_F(SandwichTest, PutsPassesAroundTheNetwork) {
 
 TEST_F(SandwichTest, NamesWhatDoesNotFitTogether) {
   EXPECT_NE(error_of("\"over\": \"color\"", "\"over\": \"colour\"")
-                .find("pass \"pre\": there is no image \"colour\""),
+                .find("pass \"pre\": there is no image, graph input or output \"colour\""),
             std::string::npos);
   EXPECT_NE(error_of("\"tensor\": \"y\"", "\"tensor\": \"z\"")
                 .find("there is no graph input or output \"z\""),
@@ -433,8 +474,55 @@ TEST_F(SandwichTest, NamesWhatDoesNotFitTogether) {
 
 TEST_F(SandwichTest, NeedsAnImageNetwork) {
   EXPECT_NE(error_text(compile_text(kSmall, options(kFrame)))
-                .find("a sandwich needs a network whose first input is NHWC"),
+                .find("frame.tensors: the network has no NHWC input \"x\""),
             std::string::npos);
+}
+
+TEST_F(SandwichTest, TakesTheSizesThatAreAskedFor) {
+  CompileOptions sized = options(kFrame);
+  sized.sizes.render = FrameExtent{12, 8};
+  const auto size = [](const Compiled& compiled, const char* name) {
+    for (const Resource& resource : compiled.package.variants[0].resources)
+      if (resource.name == name) return FrameExtent{resource.width, resource.height};
+    return FrameExtent{};
+  };
+  Compiled compiled = must(compile_text(kNetwork, sized));
+  EXPECT_EQ(compiled.package.variants[0].resources[0].shape, (Shape{1, 8, 12, 4}));
+  EXPECT_EQ(size(compiled, "shown"), (FrameExtent{24, 16}));
+  EXPECT_EQ(compiled.package.variants[0].params.size(), 3u);
+  EXPECT_EQ(compiled.package.variants[0].views.size(), 1u);
+  sized.sizes.output = FrameExtent{36, 13};
+  compiled = must(compile_text(kNetwork, sized));
+  EXPECT_EQ(size(compiled, "shown"), (FrameExtent{36, 13}));
+  sized.sizes.output = FrameExtent{12, 8};
+  EXPECT_NE(error_text(compile_text(kNetwork, sized)).find("12x8 to 12x8 is a ratio outside 1.5 to 3"),
+            std::string::npos);
+  sized.sizes.output.reset();
+  sized.passes.input_shapes = {{"x", {1, 6, 8, 4}}};
+  EXPECT_NE(error_text(compile_text(kNetwork, sized)).find("use --render and --output-size"),
+            std::string::npos);
+}
+
+TEST_F(SandwichTest, MayHaveNoNetwork) {
+  const std::string json = R"({"schema": "shale-frame/1", "render": [4, 4], "output": [8, 8], "ratio": [2, 2],
+    "images": [{"name": "color", "role": "input", "format": "rgba8_unorm", "size": "render"},
+               {"name": "shown", "role": "output", "format": "rgba8_unorm", "size": "output"}],
+    "passes": [{"name": "grow", "shader": "grow.comp", "over": "shown", "bindings": [
+      {"binding": 0, "image": "color", "access": "read"}, {"binding": 1, "image": "shown", "access": "write"}]}]})";
+  CompileOptions alone = options(json);
+  alone.load_shader = [](const std::string& path) -> Result<std::string> {
+    if (path == "half.glsl") return std::string("ivec2 half_of(ivec2 at) { return at / 2; }\n");
+    return std::string(R"(#version 450
+#extension GL_EXT_samplerless_texture_functions : require
+#include "half.glsl"
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0) uniform texture2D color;
+layout(set = 0, binding = 1, rgba8) uniform writeonly image2D shown;
+void main() { const ivec2 at = ivec2(gl_GlobalInvocationID.xy); imageStore(shown, at, texelFetch(color, half_of(at), 0)); })");
+  };
+  const Compiled compiled = must(compile({}, alone));
+  ASSERT_EQ(compiled.package.variants[0].segments.size(), 1u);
+  EXPECT_TRUE(must(read_package(write_package(compiled.package))) == compiled.package);
 }
 
 }  // namespace

@@ -82,6 +82,9 @@ Package sample_package() {
                 {"post", SegmentKind::kCompute, {show}}};
   v.modules = {{0x07230203, 0x10000, 0, 9, 0}, {0x07230203, 0x10000, 0, 9, 0, 7}};
   v.proofs = {{"conv1", {-5, -6}, {5, 6}, {10, 12}}};
+  v.params = {{"jitter", false, 2, 8, ParamSource::kHost, {0.25f, -0.5f}},
+              {"reset", true, 1, 16, ParamSource::kReset, {0}}};
+  v.views = {{"colour", kX, 1, 3, 0, 1}, {"past", kHistory, 3, 1, 1, -1}};
   v.requirements = binding_requirements(v);
   v.requirements.features.add(Feature::kInt8);
   Package p;
@@ -177,9 +180,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.0 is newer than 1.0, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.1 is newer than 1.1, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.0 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.1 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -308,8 +311,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"w\": bytes 256 to 256 + 64 leave the weights of 300 bytes"},
     {"InputOffset", [](Package& p) { resource(p, 0).offset_bytes = 256; },
      "variant 0, resource \"x\": a tensor bound by the caller has offset 256"},
-    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(11); },
-     "variant 0, resource \"color\": image format 11 does not exist"},
+    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(13); },
+     "variant 0, resource \"color\": image format 13 does not exist"},
     {"ImageFormatOfTexels", [](Package& p) { resource(p, 4).format = ImageFormat::kR8Sint; },
      "variant 0, resource \"color\": an image cannot have the format r8_sint"},
     {"ImageWithoutExtent", [](Package& p) { resource(p, 4).height = 0; },
@@ -331,14 +334,40 @@ const BadPackage kBadPackages[] = {
     {"SegmentKindNumber",
      [](Package& p) { variant(p).segments[2].kind = number<SegmentKind>(2); },
      "variant 0, segment 2: segment kind 2 does not exist"},
-    {"NoGraph", [](Package& p) { variant(p).segments[1].kind = SegmentKind::kCompute; },
-     "variant 0: has 0 graph segments, expected exactly one"},
+    {"ParamNameTwice", [](Package& p) { variant(p).params[1].name = "jitter"; },
+     "variant 0, parameter \"jitter\": the parameter name \"jitter\" is taken already"},
+    {"ParamComponents", [](Package& p) { variant(p).params[0].components = 5; },
+     "variant 0, parameter \"jitter\": 5 components are outside 1..4"},
+    {"ParamSourceNumber",
+     [](Package& p) { variant(p).params[0].source = number<ParamSource>(2); },
+     "variant 0, parameter \"jitter\": source 2 does not exist"},
+    {"ParamOfReset", [](Package& p) { variant(p).params[1].is_integer = false; },
+     "variant 0, parameter \"reset\": the reset flag must be one integer"},
+    {"ParamAlignment", [](Package& p) { variant(p).params[0].offset_bytes = 4; },
+     "variant 0, parameter \"jitter\": offset 4 is no multiple of 8, or leaves the 128 bytes"},
+    {"ParamBeyond", [](Package& p) { variant(p).params[0].offset_bytes = 128; },
+     "variant 0, parameter \"jitter\": offset 128 is no multiple of 8, or leaves the 128 bytes"},
+    {"ParamOverlap", [](Package& p) { variant(p).params[1].offset_bytes = 12; },
+     "variant 0, parameter \"reset\": shares byte 12 with another"},
+    {"ParamDefaults", [](Package& p) { variant(p).params[0].default_values.pop_back(); },
+     "variant 0, parameter \"jitter\": 1 default values, expected 2"},
+    {"ParamDefaultKind", [](Package& p) { variant(p).params[1].default_values = {0.5f}; },
+     "variant 0, parameter \"reset\": the default value 0.5 is no exact integer"},
+    {"ViewResource", [](Package& p) { variant(p).views[0].resource = 99; },
+     "variant 0, view 0: resource 99 does not exist, there are 8"},
+    {"ViewOfWeights", [](Package& p) { variant(p).views[0].resource = 2; },
+     "variant 0, view 0: \"w\" cannot be viewed"},
+    {"ViewChannels", [](Package& p) { variant(p).views[0].first_channel = 2; },
+     "variant 0, view 0: 3 channels from 2 on are not in the 4 of \"x\""},
+    {"ViewRange", [](Package& p) { variant(p).views[1].high = 1; },
+     "variant 0, view 1: 1..1 is no range"},
+    {"NoSegment", [](Package& p) { variant(p).segments.clear(); }, "variant 0: has no segment"},
     {"TwoGraphs",
      [](Package& p) {
        variant(p).segments[0].kind = SegmentKind::kGraph;
        variant(p).segments[0].dispatches.clear();
      },
-     "variant 0: has 2 graph segments, expected exactly one"},
+     "variant 0: has 2 graph segments, expected at most one"},
     {"DispatchNameTwice", [](Package& p) { dispatch(p, 1, 1).name = "conv1"; },
      "variant 0, segment 1, dispatch 1: the dispatch name \"conv1\" is taken already"},
     {"NoKernelName", [](Package& p) { dispatch(p, 1, 1).kernel.clear(); },
@@ -457,7 +486,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.0\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.1\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\", arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",

@@ -33,6 +33,8 @@ const std::vector<Rule> kRules{
     {"compiler/spirv/", {"ir/base/", "ir/package/", "compiler/spirv/"}},
     {"runtime/", {"ir/base/", "ir/package/", "runtime/"}},
     {"tools/", {"ir/", "compiler/", "runtime/", "tools/"}},
+    {"tools/eval/",
+     {"ir/base/", "tools/eval/", "tools/scene/frame_source.h", "tools/shale/picture.h"}},
 };
 
 struct Door {
@@ -48,6 +50,7 @@ const std::vector<Door> kDoors{
     {std::regex("^vulkan/"), {"runtime/", "tools/"}},
     {std::regex("^CLI/"), {"tools/"}},
     {std::regex("^stb/"), {"tools/"}},
+    {std::regex("^OpenEXR/"), {"tools/scene/exr.cpp"}},
     {std::regex("^nlohmann/"), {"compiler/driver/frame.cpp", "compiler/cost/", "tools/"}},
 };
 

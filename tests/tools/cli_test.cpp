@@ -171,7 +171,7 @@ TEST_F(Cli, PlayRunsTheSandwichOnAPictureAndAFolder) {
 
 TEST_F(Cli, PlayRefusesPicturesOfAnotherSizeAndPackagesWithoutSandwich) {
   ASSERT_EQ(
-      shale("compile " + kModels + "/srpo_x2 --input-shape input=1,16,16,3 -o " + file("p.shale"))
+      shale("compile " + kModels + "/srpo_x2 --render 16x16 -o " + file("p.shale"))
           .exit,
       0);
   const std::string play = " -i " + kModels + "/pictures/raster_lr.png -o " + file("o.png");

@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <charconv>
+#include <cmath>
 #include <csignal>
 #include <filesystem>
 
@@ -75,17 +76,38 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
       is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
                 : fs::path(path).stem().string();
   model.name = stem.empty() ? "model" : stem;
-  SHALE_TRY(model.bytes, read_file(model.path));
   std::string frame = frame_path;
   if (frame.empty() && is_folder && fs::exists(fs::path(path) / "frame.json", ignored))
     frame = (fs::path(path) / "frame.json").string();
-  if (frame.empty()) return model;
-  SHALE_TRY(const std::string text, read_text(frame));
-  Result<Frame> parsed = parse_frame(text);
-  if (!parsed) return in_file(frame, parsed.error());
-  model.frame = *std::move(parsed);
-  model.frame_folder = fs::path(frame).parent_path().string();
+  if (!frame.empty()) {
+    SHALE_TRY(const std::string text, read_text(frame));
+    Result<Frame> parsed = parse_frame(text);
+    if (!parsed) return in_file(frame, parsed.error());
+    model.frame = *std::move(parsed);
+    model.frame_folder = fs::path(frame).parent_path().string();
+  }
+  const auto is_graph = [](const FramePass& pass) { return pass.is_graph; };
+  if (model.frame && is_folder &&
+      std::none_of(model.frame->passes.begin(), model.frame->passes.end(), is_graph)) {
+    model.path = frame;
+    return model;
+  }
+  SHALE_TRY(model.bytes, read_file(model.path));
   return model;
+}
+
+Result<FrameExtent> parse_extent(const std::string& option, const std::string& text) {
+  FrameExtent extent;
+  const char* const end = text.data() + text.size();
+  const auto [middle, first] = std::from_chars(text.data(), end, extent.width);
+  if (first == std::errc() && middle < end && *middle == 'x') {
+    const auto [last, second] = std::from_chars(middle + 1, end, extent.height);
+    if (second == std::errc() && last == end && extent.width >= 1 && extent.height >= 1 &&
+        extent.width <= kMaxImageExtent && extent.height <= kMaxImageExtent)
+      return extent;
+  }
+  return bad_input(option, "\"{}\" is not of the form WIDTHxHEIGHT, each 1 to {}", text,
+                   kMaxImageExtent);
 }
 
 Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text) {
@@ -117,6 +139,11 @@ void CompileArguments::add_to(CLI::App& app) {
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
+  app.add_option("--render", render, "size of the rendered frames of a sandwich, WIDTHxHEIGHT");
+  auto* size = app.add_option("--output-size", output, "size of its results, WIDTHxHEIGHT");
+  app.add_option("--ratio", ratio, "ratio of the results' sides to the rendered frames'")
+      ->excludes(size)
+      ->check(CLI::Range(1.0, 16.0));
   app.add_option("--dump-after", dump_after, "print the graph after these passes")
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -147,6 +174,19 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   options.optimize_spirv = !no_spirv_opt;
   options.model_name = model.name;
   options.frame = model.frame;
+  if (!model.frame && (!render.empty() || !output.empty() || ratio != 0))
+    return bad_input(model.path, "has no sandwich, so it has no render or output size");
+  if (!render.empty()) {
+    SHALE_TRY(options.sizes.render, parse_extent("--render", render));
+  }
+  if (!output.empty()) {
+    SHALE_TRY(options.sizes.output, parse_extent("--output-size", output));
+  }
+  if (ratio != 0) {
+    const FrameExtent from = options.sizes.render.value_or(model.frame->render);
+    const auto side = [&](uint32_t of) { return static_cast<uint32_t>(std::lround(of * ratio)); };
+    options.sizes.output = FrameExtent{side(from.width), side(from.height)};
+  }
   options.load_shader = [folder = model.frame_folder](const std::string& path) {
     return read_text((fs::path(folder) / path).string());
   };

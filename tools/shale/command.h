@@ -62,8 +62,9 @@ struct ModelFiles {
   std::string frame_folder;  ///< shader paths are relative to it
 };
 
-/// `path` is a model file, or a folder with model.tosa and (optionally) frame.json. `frame_path`
-/// names a frame.json for a model file; empty is none.
+/// `path` is a model file, or a folder with model.tosa and (optionally) frame.json; a sandwich
+/// without a network has no model.tosa. `frame_path` names a frame.json for a model file; empty is
+/// none.
 /// Errors: kIo, kBadInput; the file is named.
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path);
 
@@ -72,7 +73,8 @@ struct CompileArguments {
   std::vector<std::string> input_shapes;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
-  std::string frame;
+  std::string frame, render, output;
+  double ratio = 0;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
 
@@ -80,6 +82,10 @@ struct CompileArguments {
   /// Errors: kBadInput for an option that cannot be understood.
   Result<CompileOptions> options(const ModelFiles& model) const;
 };
+
+/// "960x540" to a size.
+/// Errors: kBadInput naming the option.
+Result<FrameExtent> parse_extent(const std::string& option, const std::string& text);
 
 /// NAME=N,H,W,C to a named shape.
 Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text);

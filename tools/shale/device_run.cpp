@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "compiler/passes/pass.h"
 #include "runtime/datagraph/pipeline.h"
 #include "runtime/datagraph/session.h"
 #include "runtime/vk/commands.h"
@@ -124,6 +125,15 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
     outputs.push_back(std::move(tensor));
   }
   return outputs;
+}
+
+Result<void> match_shapes(Graph& graph, const Variant& variant) {
+  PassContext context;
+  for (const Resource* resource : tensors_of(variant, Category::kInput))
+    context.input_shapes[resource->name] = resource->shape;
+  const Result<Change> change = run_pass(*find_pass("infer-shapes"), graph, context);
+  if (!change) return change.error();
+  return {};
 }
 
 std::optional<std::string> first_difference(const Tensor& found, const Tensor& expected) {

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "ir/graph/graph.h"
 #include "ir/graph/tensor.h"
 #include "ir/package/package.h"
 #include "runtime/profile/profile.h"
@@ -60,6 +61,10 @@ std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTim
 
 /// Inputs or outputs of a variant, in graph order.
 std::vector<const Resource*> tensors_of(const Variant& variant, Category category);
+
+/// Gives a graph the input shapes that a package of it was compiled for.
+/// Errors: kBadInput.
+Result<void> match_shapes(Graph& graph, const Variant& variant);
 
 /// "element 17 at [0,1,1,1]: found 4, expected 5", or nothing if the tensors are equal.
 std::optional<std::string> first_difference(const Tensor& found, const Tensor& expected);

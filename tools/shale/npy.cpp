@@ -86,19 +86,34 @@ Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
   return tensor;
 }
 
-Result<void> write_npy(const std::string& path, const Tensor& tensor) {
-  std::string dims = fmt::format("{}", fmt::join(tensor.type.shape, ", "));
-  if (tensor.type.shape.size() == 1) dims += ",";
+namespace {
+
+Result<void> write_array(const std::string& path, std::string_view descr, const Shape& shape,
+                         std::span<const uint8_t> bytes) {
+  std::string dims = fmt::format("{}", fmt::join(shape, ", "));
+  if (shape.size() == 1) dims += ",";
   std::string header = fmt::format("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
-                                   descr_of(tensor.type.dtype), dims);
+                                   descr, dims);
   header.append(63 - (10 + header.size()) % 64, ' ');
   header += '\n';
   std::string file(kMagic);
   file += {'\x01', '\x00', static_cast<char>(header.size() & 255),
            static_cast<char>(header.size() >> 8)};
   file += header;
-  file.append(reinterpret_cast<const char*>(tensor.bytes.data()), tensor.bytes.size());
+  file.append(reinterpret_cast<const char*>(bytes.data()), bytes.size());
   return write_text(path, file);
+}
+
+}  // namespace
+
+Result<void> write_npy(const std::string& path, const Tensor& tensor) {
+  return write_array(path, descr_of(tensor.type.dtype), tensor.type.shape, tensor.bytes);
+}
+
+Result<void> write_npy(const std::string& path, const FloatImage& image) {
+  return write_array(path, "<f4", {image.height, image.width, image.channels},
+                     {reinterpret_cast<const uint8_t*>(image.values.data()),
+                      image.values.size() * sizeof(float)});
 }
 
 }  // namespace shale

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "ir/graph/tensor.h"
+#include "tools/scene/frame_source.h"
 
 namespace shale {
 
@@ -15,5 +16,9 @@ Result<Tensor> read_npy(const std::string& path, const TensorType& type);
 
 /// Errors: kIo.
 Result<void> write_npy(const std::string& path, const Tensor& tensor);
+
+/// As float32 [height, width, channels].
+/// Errors: kIo.
+Result<void> write_npy(const std::string& path, const FloatImage& image);
 
 }  // namespace shale

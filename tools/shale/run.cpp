@@ -86,19 +86,6 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
   return std::move(compiled.package);
 }
 
-/// The graph with the shapes that the package was compiled for.
-Result<void> match_shapes(Graph& graph, const Variant& variant) {
-  PassContext context;
-  for (const Resource* resource : tensors_of(variant, Category::kInput))
-    context.input_shapes[resource->name] = resource->shape;
-  SHALE_TRY_VOID([&]() -> Result<void> {
-    const Result<Change> change = run_pass(*find_pass("infer-shapes"), graph, context);
-    if (!change) return change.error();
-    return {};
-  }());
-  return {};
-}
-
 Result<int> run(const Arguments& arguments) {
   std::optional<Graph> graph;
   SHALE_TRY(const Package package, load_package(arguments, graph));

@@ -47,12 +47,16 @@ def frame_description(network: quantize.Int8Srpo) -> dict:
     shader = "../../shaders/frame/srpo"
     return {
         "schema": "shale-frame/1",
+        "render": [480, 270],
+        "output": [480 * network.scale, 270 * network.scale],
+        "ratio": [network.scale, network.scale],
         "images": [
-            {"name": "color", "role": "input", "format": "rgba8_unorm", "scale": 1},
-            {"name": "output", "role": "output", "format": "rgba8_unorm", "scale": network.scale},
+            {"name": "color", "role": "input", "format": "rgba8_unorm", "size": "render"},
+            {"name": "output", "role": "output", "format": "rgba8_unorm", "size": "output"},
         ],
         "tensors": [
-            {"name": "input", "scale": quantize.INPUT_SCALE, "zero_point": quantize.INPUT_ZERO_POINT},
+            {"name": "input", "scale": quantize.INPUT_SCALE, "zero_point": quantize.INPUT_ZERO_POINT,
+             "size": "render"},
             {"name": "offsets", "scale": network.offset_scale, "zero_point": network.layers[2].output_zp},
         ],
         "passes": [

@@ -1,0 +1,79 @@
+// shaders/frame/baseline/mob_fgsr_blend.comp -- Mob-FGSR's super resolution: warp the history, clamp it, blend.
+//
+// One invocation per output pixel. Colours are exposed and in the Karis domain, where the method's 8-bit colours lie;
+// the history (rgba16_float) stays in it. The history is read with the 4x4 kernel that the method's table holds
+// (Keys, a = -1/2) and clamped in YCoCg to the 3x3 render texels; the current colour is bilinear where the samples lie;
+// its share is 0.25 - 0.4 q^2, q the distance to the closest sample in render texels. Without history that is on the
+// screen and within 0.01 of the depth, the current colour alone.
+// Source: Mob-FGSR (SIGGRAPH 2024), seed_networks.md sections 4.3 and 4.4.
+#version 450
+#extension GL_EXT_samplerless_texture_functions : require
+#include "color.glsl"
+#include "sampling.glsl"
+
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0) uniform texture2D color;
+layout(set = 0, binding = 1) uniform texture2D depth;           // dilated
+layout(set = 0, binding = 2) uniform texture2D motion;          // dilated
+layout(set = 0, binding = 3) uniform texture2D previous_depth;  // dilated, one frame back
+layout(set = 0, binding = 4) uniform texture2D history;         // one frame back
+layout(set = 0, binding = 5, rgba16f) writeonly uniform image2D new_history;
+layout(set = 0, binding = 6, rgba16f) writeonly uniform image2D shown;
+
+SHALE_PARAMS;
+
+const ivec2 kRender = ivec2(COLOR_WIDTH, COLOR_HEIGHT);
+const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
+const float kDepthThreshold = 0.01;
+
+vec3 texel(ivec2 at) {
+  return karis(exposed(finite_color(texelFetch(color, inside(at, kRender), 0).rgb), params.exposure));
+}
+
+vec4 cubic(float x) {
+  const float x2 = x * x, x3 = x2 * x;
+  return vec4(-0.5 * x3 + x2 - 0.5 * x, 1.5 * x3 - 2.5 * x2 + 1.0, -1.5 * x3 + 2.0 * x2 + 0.5 * x, 0.5 * (x3 - x2));
+}
+
+vec3 history_at(vec2 uv) {
+  const Bilinear b = bilinear_at(uv, kOutput);
+  const vec4 wx = cubic(b.part.x), wy = cubic(b.part.y);
+  vec3 sum = vec3(0.0);
+  for (int y = 0; y < 4; ++y)
+    for (int x = 0; x < 4; ++x)
+      sum += wx[x] * wy[y] * texelFetch(history, inside(b.base + ivec2(x, y) - 1, kOutput), 0).rgb;
+  return sum;
+}
+
+void main() {
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x >= kOutput.x || at.y >= kOutput.y) return;
+  const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
+  const vec2 scene = uv * vec2(kRender) - params.jitter;  // in texels
+  const vec2 base = floor(scene - 0.5);
+  const vec2 part = scene - 0.5 - base;
+  vec3 now = vec3(0.0);
+  for (int i = 0; i < 4; ++i) now += bilinear_weight(part, i) * texel(ivec2(base) + ivec2(i & 1, i >> 1));
+
+  const ivec2 render = (2 * at + 1) * kRender / (2 * kOutput);
+  const vec2 before = uv - texelFetch(motion, render, 0).rg;
+  vec3 result = now;
+  if (params.reset == 0 && all(greaterThanEqual(before, vec2(0.0))) && all(lessThan(before, vec2(1.0)))) {
+    const float z = texelFetch(depth, render, 0).r;
+    const float z_before = texelFetch(previous_depth, inside(ivec2(before * vec2(kRender)), kRender), 0).r;
+    if (abs(z - z_before) < kDepthThreshold) {
+      const ivec2 centre = inside(ivec2(floor(scene)), kRender);
+      vec3 low = ycocg(texel(centre)), high = low;
+      for (int i = 0; i < 9; ++i) {
+        const vec3 c = ycocg(texel(centre + ivec2(i % 3, i / 3) - 1));
+        low = min(low, c);
+        high = max(high, c);
+      }
+      const vec3 past = max(ycocg_inverse(clamp(ycocg(history_at(before)), low, high)), 0.0);
+      const vec2 q = scene - (vec2(centre) + 0.5);
+      result = mix(past, now, max(0.25 - 0.4 * dot(q, q), 0.0));
+    }
+  }
+  imageStore(new_history, at, vec4(result, 1.0));
+  imageStore(shown, at, vec4(min(karis_inverse(result) / params.exposure, kMaxColor), 1.0));
+}

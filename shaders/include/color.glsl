@@ -1,0 +1,42 @@
+// shaders/include/color.glsl -- colours of frames: what may come in, the exposed Karis domain, YCoCg.
+//
+// Frames may hold anything: NaN becomes 0, colours lie in [0, 65504], so that every sum after it is finite.
+// Source: nss.md section 2.1; NaN is found by its bits, since drivers may assume that there is none.
+#ifndef SHALE_COLOR_GLSL
+#define SHALE_COLOR_GLSL
+
+const float kMaxColor = 65504.0;  // the largest half
+
+bool is_nan(float x) { return (floatBitsToUint(x) & 0x7fffffffu) > 0x7f800000u; }
+
+/// x in [low, high]; `instead` for NaN.
+float finite_in(float x, float low, float high, float instead) { return is_nan(x) ? instead : clamp(x, low, high); }
+
+vec3 finite_color(vec3 c) {
+  return vec3(finite_in(c.r, 0.0, kMaxColor, 0.0), finite_in(c.g, 0.0, kMaxColor, 0.0),
+              finite_in(c.b, 0.0, kMaxColor, 0.0));
+}
+
+vec3 exposed(vec3 c, float exposure) { return min(c * exposure, kMaxColor); }
+
+float largest(vec3 c) { return max(c.r, max(c.g, c.b)); }
+
+/// [0, inf) to [0, 1).
+vec3 karis(vec3 x) { return x / (1.0 + largest(x)); }
+vec3 karis_inverse(vec3 x) { return min(x / (1.0 - min(largest(x), 1.0 - 1e-7)), kMaxColor); }
+
+/// x: luma; y, z: chroma. YCoCg with the lifting of nss.md section 2.5.
+vec3 ycocg(vec3 c) {
+  const float co = c.r - c.b;
+  const float t = c.b + 0.5 * co;
+  const float cg = c.g - t;
+  return vec3(t + 0.5 * cg, co, cg);
+}
+vec3 ycocg_inverse(vec3 c) {
+  const float t = c.x - 0.5 * c.z;
+  const float g = c.z + t;
+  const float b = t - 0.5 * c.y;
+  return vec3(b + c.y, g, b);
+}
+
+#endif

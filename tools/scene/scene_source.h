@@ -1,0 +1,72 @@
+// tools/scene/scene_source.h -- a rendered scene, or a part of its picture, as a sequence of frames.
+#pragma once
+
+#include <functional>
+#include <optional>
+
+#include "runtime/vk/device.h"
+#include "tools/scene/frame_source.h"
+#include "tools/scene/renderer.h"
+#include "tools/scene/scene.h"
+
+namespace shale {
+
+/// Which frames of a scene, and which part of its picture, are the sequence.
+struct SceneClip {
+  uint32_t first_frame = 0;  ///< of the scene; it is frame 0 of the sequence
+  uint32_t frame_count = 0;  ///< 0 is all from the first on; never more than the scene has
+  /// Renders only this part, as if it were a whole picture: motion is in its own uv, the fields of
+  /// view are those of a picture of its size with the same pixels. Its sides must fall on render
+  /// pixels.
+  std::optional<Crop> crop;
+};
+
+struct SceneOptions {
+  Extent render{960, 540};
+  Extent output{1920, 1080};
+  SceneClip clip;
+  std::optional<bool> reverse_depth;  ///< instead of what the scene says
+  std::function<bool()> keep_going;   ///< asked between bands of rows; may be empty
+  VkPipelineCache cache = VK_NULL_HANDLE;
+};
+
+/// Sub-pixel offset of a frame's samples: Halton (2, 3) of frame + 1, repeated after 8 times the
+/// ratio of areas, on a grid of 1/8 pixel. Source: NSS, shared conventions.
+std::array<float, 2> scene_jitter(uint32_t frame, Extent render, Extent output);
+uint32_t jitter_phases(Extent render, Extent output);
+
+class SceneSource : public FrameSource {
+ public:
+  /// `context` must outlive the source.
+  /// Errors: kBadInput for sizes or a crop that do not fit each other; kDevice.
+  static Result<std::unique_ptr<SceneSource>> create(const vk::Context& context, Scene scene,
+                                                     SceneOptions options);
+
+  const std::string& name() const override { return scene_.name; }
+  uint32_t frame_count() const override { return frames_; }
+  Extent render_size() const override { return render_; }
+  Extent output_size() const override { return window_.size; }
+  Result<SourceFrame> frame(uint32_t index, bool with_truth) override;
+
+  /// Makes another clip of the same scene the sequence; the pipelines are kept.
+  /// Errors: kBadInput, and the clip is the one before.
+  Result<void> set_clip(const SceneClip& clip);
+
+  const Scene& scene() const { return scene_; }
+
+ private:
+  SceneSource(Scene scene, SceneOptions options)
+      : scene_(std::move(scene)), options_(std::move(options)) {}
+  FrameCamera camera(uint32_t scene_frame, const CameraPose& pose) const;
+
+  Scene scene_;
+  SceneOptions options_;
+  Window window_;
+  Extent render_;                         ///< of the window
+  uint32_t render_x_ = 0, render_y_ = 0;  ///< first render pixel of the window
+  uint32_t first_frame_ = 0, frames_ = 0;
+  bool reverse_ = false;
+  std::unique_ptr<SceneRenderer> renderer_;
+};
+
+}  // namespace shale

@@ -1,0 +1,228 @@
+// shale diff: how far pictures are from their references.
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <map>
+
+#include "tools/eval/html_report.h"
+#include "tools/eval/metrics.h"
+#include "tools/eval/tonemap.h"
+#include "tools/scene/exr.h"
+#include "tools/shale/command.h"
+
+namespace shale {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Arguments {
+  std::string reference, test, map;
+  std::vector<std::string> metrics{"psnr", "ssim", "flip"};
+  double pixels_per_degree = kDefaultPixelsPerDegree;
+  float exposure = 1;
+  bool json = false;
+};
+
+struct Pair {
+  std::string name, reference, test;
+};
+
+std::string extension_of(const fs::path& path) {
+  std::string extension = path.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return extension;
+}
+
+/// Largest picture, in pixels: the metrics' planes take some 60 bytes for each.
+constexpr uint64_t kMaxPixels = uint64_t{1} << 26;
+
+/// As a display shows it: OpenEXR pictures are linear HDR, the others are that already.
+Result<FloatImage> load_display(const std::string& path, float exposure) {
+  if (extension_of(path) == ".exr") {
+    SHALE_TRY(const FloatImage linear, read_exr(path, 3));
+    return display_image(linear, exposure);
+  }
+  SHALE_TRY(const Picture picture, load_picture(path));
+  if (uint64_t{picture.width} * picture.height > kMaxPixels)
+    return unsupported(path, "has {}x{} pixels, metrics take {} at most", picture.width,
+                       picture.height, kMaxPixels);
+  return to_float_image(picture);
+}
+
+/// Pictures of a folder by name without extension.
+Result<std::map<std::string, std::string>> pictures_of(const std::string& folder) {
+  std::error_code error;
+  std::map<std::string, std::string> files;
+  fs::directory_iterator it(folder, error);
+  for (; !error && it != fs::directory_iterator(); it.increment(error)) {
+    const std::string extension = extension_of(it->path());
+    for (const char* known : {".png", ".jpg", ".jpeg", ".bmp", ".tga", ".exr"}) {
+      if (extension != known) continue;
+      const auto [other, is_new] = files.emplace(it->path().stem().string(), it->path().string());
+      if (!is_new)
+        return bad_input(folder, "holds both {} and {}: which one is meant?",
+                         fs::path(other->second).filename().string(),
+                         it->path().filename().string());
+    }
+  }
+  if (error) return io_error(folder, "cannot list: {}", error.message());
+  if (files.empty()) return bad_input(folder, "holds no picture (.png, .jpg, .bmp, .tga, .exr)");
+  return files;
+}
+
+/// Two pictures, or the pictures of two folders that have the same name. In order of their names.
+Result<std::vector<Pair>> pairs_of(const Arguments& arguments) {
+  const std::string &a = arguments.reference, &b = arguments.test;
+  std::error_code ignored;
+  const bool first = fs::is_directory(a, ignored), second = fs::is_directory(b, ignored);
+  if (first != second)
+    return bad_input(first ? b : a, "is no folder, but {} is one", first ? a : b);
+  if (!first) return std::vector<Pair>{{fs::path(b).filename().string(), a, b}};
+  SHALE_TRY(const auto references, pictures_of(a));
+  SHALE_TRY(const auto tests, pictures_of(b));
+  std::vector<Pair> pairs;
+  for (const auto& [name, file] : tests) {
+    const auto reference = references.find(name);
+    if (reference == references.end())
+      return bad_input(file, "has no reference of this name in {}", a);
+    pairs.push_back({name, reference->second, file});
+  }
+  for (const auto& [name, file] : references)
+    if (!tests.contains(name)) return bad_input(file, "has no picture of this name in {}", b);
+  return pairs;
+}
+
+/// The columns of both forms of output, as keys of metrics_json.
+struct Column {
+  const char *key, *title;
+  int digits;
+};
+constexpr Column kColumns[] = {{"psnr_db", "PSNR dB", 2},
+                               {"ssim", "SSIM", 5},
+                               {"ssim_valid", "SSIM valid", 5},
+                               {"ssim_luma", "SSIM luma", 5},
+                               {"ssim_luma_valid", "luma valid", 5},
+                               {"flip", "FLIP", 5}};
+
+std::string cell(const Json& metrics, const Column& column) {
+  if (metrics.value("psnr_infinite", false) && metrics[column.key].is_null()) return "inf";
+  return metrics.contains(column.key)
+             ? fmt::format("{:.{}f}", metrics[column.key].get<double>(), column.digits)
+             : "-";
+}
+
+void print_table(const Json& json, const Arguments& arguments) {
+  std::vector<Column> columns;
+  for (const Column& column : kColumns)
+    if (json["mean"].contains(column.key)) columns.push_back(column);
+  const auto print_line = [&](const Json& metrics, const std::string& name) {
+    for (const Column& column : columns) fmt::print("{:>11}", cell(metrics, column));
+    fmt::print("  {}\n", name);
+  };
+  for (const Column& column : columns) fmt::print("{:>11}", column.title);
+  fmt::print("  picture\n");
+  for (const Json& pair : json["pairs"]) print_line(pair, pair["name"].get<std::string>());
+  if (json["pairs"].size() > 1)
+    print_line(json["mean"], fmt::format("mean of {}", json["pairs"].size()));
+  if (json["mean"].contains("ssim"))
+    fmt::print("SSIM pads with 5 zeros; valid: without a border of 5 pixels\n");
+  if (json["mean"].contains("flip"))
+    fmt::print("FLIP at {:.2f} pixels per degree\n", arguments.pixels_per_degree);
+}
+
+Result<int> diff(const Arguments& arguments) {
+  MetricOptions options;
+  options.pixels_per_degree = arguments.pixels_per_degree;
+  const auto wanted = [&](const char* name) {
+    return std::find(arguments.metrics.begin(), arguments.metrics.end(), name) !=
+           arguments.metrics.end();
+  };
+  options.psnr = wanted("psnr");
+  options.ssim = wanted("ssim");
+  options.flip = wanted("flip") || !arguments.map.empty();
+  SHALE_TRY(const std::vector<Pair> pairs, pairs_of(arguments));
+  std::error_code error;
+  const bool maps_to_folder = fs::is_directory(arguments.reference, error);
+  if (maps_to_folder && !arguments.map.empty()) {
+    fs::create_directories(arguments.map, error);
+    if (error) return io_error(arguments.map, "cannot create: {}", error.message());
+  }
+  Json json{{"reference", arguments.reference}, {"test", arguments.test}};
+  if (options.flip) json["pixels_per_degree"] = arguments.pixels_per_degree;
+  json["pairs"] = Json::array();
+  std::map<std::string, std::pair<double, int>> sums;
+  {
+    Progress progress("comparing");
+    for (size_t i = 0; i < pairs.size(); ++i) {
+      const Pair& pair = pairs[i];
+      if (!progress.step(i, pairs.size())) return bad_input("", "interrupted after {} pairs", i);
+      SHALE_TRY(FloatImage reference, load_display(pair.reference, arguments.exposure));
+      SHALE_TRY(const FloatImage test, load_display(pair.test, arguments.exposure));
+      if (reference.width != test.width || reference.height != test.height)
+        return bad_input(pair.test, "has {}x{} pixels, its reference {} has {}x{}", test.width,
+                         test.height, pair.reference, reference.width, reference.height);
+      FloatImage map;
+      const FrameMetrics metrics =
+          compare(PreparedReference(std::move(reference), options), test, &map);
+      Json entry{{"name", pair.name},
+                 {"reference", pair.reference},
+                 {"test", pair.test},
+                 {"width", test.width},
+                 {"height", test.height}};
+      entry.update(metrics_json(metrics));
+      if (!arguments.map.empty()) {
+        const std::string path = maps_to_folder
+                                     ? (fs::path(arguments.map) / (pair.name + ".png")).string()
+                                     : arguments.map;
+        SHALE_TRY_VOID(save_png(path, error_colours(map)));
+        entry["map"] = path;
+      }
+      for (const Column& column : kColumns) {
+        if (!entry.contains(column.key)) continue;
+        auto& [sum, count] = sums[column.key];
+        sum += column.key == std::string_view("psnr_db") ? std::min(*metrics.psnr_db, kPsnrCapDb)
+                                                         : entry[column.key].get<double>();
+        ++count;
+      }
+      json["pairs"].push_back(std::move(entry));
+    }
+  }
+  json["mean"] = Json::object();
+  for (const Column& column : kColumns)
+    if (const auto sum = sums.find(column.key); sum != sums.end())
+      json["mean"][column.key] = sum->second.first / sum->second.second;
+  if (arguments.json)
+    print_json(json);
+  else
+    print_table(json, arguments);
+  return kDone;
+}
+
+}  // namespace
+
+Action add_diff(CLI::App& app) {
+  auto arguments = std::make_shared<Arguments>();
+  app.add_option("reference", arguments->reference, "picture, or folder of pictures")->required();
+  app.add_option("test", arguments->test, "picture of the same size, or folder with the same names")
+      ->required();
+  app.add_option("--map", arguments->map,
+                 "write FLIP in colours, dark to light: a picture (.png), or a folder for folders");
+  app.add_option("--metrics", arguments->metrics, "psnr, ssim, flip (default: all)")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->check(CLI::IsMember({"psnr", "ssim", "flip"}));
+  app.add_option("--ppd", arguments->pixels_per_degree,
+                 "pixels per degree of the viewer, for FLIP (default: 67.02)")
+      ->check(CLI::Range(4.0, 400.0));
+  app.add_option("--exposure", arguments->exposure,
+                 "factor on the linear colours of .exr pictures, which are then tone-mapped")
+      ->check(CLI::Range(1e-6, 1e6));
+  app.add_flag("--json", arguments->json, "print the result as JSON");
+  app.footer(
+      "Example: shale diff models/pictures/raster_x2.png result.png --map error.png\n"
+      "In means an infinite PSNR, of equal pictures, counts as 100 dB; in JSON it is null.");
+  return [arguments] { return diff(*arguments); };
+}
+
+}  // namespace shale

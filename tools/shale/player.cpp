@@ -1,0 +1,419 @@
+#include "tools/shale/player.h"
+
+#include <Imath/half.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+
+#include "compiler/frontend/frontend.h"
+#include "ir/base/file.h"
+#include "runtime/frame/camera.h"
+#include "runtime/vk/commands.h"
+#include "runtime/vk/timestamps.h"
+#include "tools/eval/tonemap.h"
+
+namespace shale {
+namespace {
+
+VkBufferImageCopy whole(VkExtent2D extent) {
+  VkBufferImageCopy copy{};
+  copy.imageSubresource = {VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1};
+  copy.imageExtent = {extent.width, extent.height, 1};
+  return copy;
+}
+
+uint64_t image_bytes(const Resource& image) {
+  return uint64_t{image.width} * image.height * image_format_info(image.format).texel_bytes;
+}
+
+float read_channel(const uint8_t* texel, ImageFormat format, uint32_t channel) {
+  const auto load = [&]<typename T>(T) {
+    T value;
+    std::memcpy(&value, texel + channel * sizeof(T), sizeof(T));
+    return value;
+  };
+  switch (format) {
+    case ImageFormat::kRgba8Unorm:
+    case ImageFormat::kRg8Unorm:
+    case ImageFormat::kR8Unorm: return static_cast<float>(texel[channel]) / 255;
+    case ImageFormat::kRgba8Snorm:
+      return std::max(static_cast<float>(load(int8_t{})) / 127, -1.0f);
+    case ImageFormat::kRgba16Float:
+    case ImageFormat::kRg16Float:
+    case ImageFormat::kR16Float: {
+      Imath::half value;
+      value.setBits(load(uint16_t{}));
+      return value;
+    }
+    case ImageFormat::kRgba32Float:
+    case ImageFormat::kR32Float: return load(float{});
+    case ImageFormat::kR32Uint: return static_cast<float>(load(uint32_t{}));
+    default: return 0;
+  }
+}
+
+void write_channel(uint8_t* texel, ImageFormat format, uint32_t channel, float value) {
+  const auto store = [&](auto what) {
+    std::memcpy(texel + channel * sizeof(what), &what, sizeof(what));
+  };
+  switch (format) {
+    case ImageFormat::kRgba8Unorm:
+    case ImageFormat::kRg8Unorm:
+    case ImageFormat::kR8Unorm:
+      store(static_cast<uint8_t>(std::lround(std::clamp(value, 0.0f, 1.0f) * 255)));
+      break;
+    case ImageFormat::kRgba16Float:
+    case ImageFormat::kRg16Float:
+    case ImageFormat::kR16Float: store(Imath::half(value).bits()); break;
+    case ImageFormat::kRgba32Float:
+    case ImageFormat::kR32Float: store(value); break;
+    default: break;
+  }
+}
+
+/// Copies all of an image or a range of a buffer to the host.
+Result<vk::Buffer> download(const vk::Context& context, uint64_t bytes,
+                            const std::function<void(VkCommandBuffer, VkBuffer)>& copy) {
+  SHALE_TRY(vk::Buffer buffer, vk::Buffer::create(context, bytes, VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+                                                  vk::MemoryKind::kReadback));
+  SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_ACCESS_MEMORY_WRITE_BIT,
+                       VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_READ_BIT);
+    copy(commands, buffer.get());
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT,
+                       VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+  }));
+  return buffer;
+}
+
+}  // namespace
+
+FloatImage unpack_texels(std::span<const uint8_t> bytes, ImageFormat format, Extent extent) {
+  const ImageFormatInfo& info = image_format_info(format);
+  FloatImage image{extent.width, extent.height, info.channels, {}};
+  const size_t texels = size_t{extent.width} * extent.height;
+  image.values.reserve(texels * info.channels);
+  for (size_t i = 0; i < texels; ++i)
+    for (uint32_t c = 0; c < info.channels; ++c)
+      image.values.push_back(read_channel(&bytes[i * info.texel_bytes], format, c));
+  return image;
+}
+
+void pack_texels(const FloatImage& from, ImageFormat format, std::span<uint8_t> bytes) {
+  const ImageFormatInfo& info = image_format_info(format);
+  const size_t texels = size_t{from.width} * from.height;
+  for (size_t i = 0; i < texels; ++i)
+    for (uint32_t c = 0; c < info.channels; ++c)
+      write_channel(&bytes[i * info.texel_bytes], format, c,
+                    c < from.channels ? from.values[i * from.channels + c]
+                    : c == 3          ? 1.0f
+                                      : 0.0f);
+}
+
+Result<std::pair<Extent, Extent>> sandwich_sizes(const Package& package) {
+  const auto find = [&](const char* name, Category category) -> const Resource* {
+    for (const Resource& resource : package.variants.front().resources)
+      if (resource.name == name && resource.category == category) return &resource;
+    return nullptr;
+  };
+  const Resource* color = find("color", Category::kImageInput);
+  const Resource* output = find("output", Category::kImageOutput);
+  if (!color || !output)
+    return bad_input("", "the package has no sandwich with the images \"color\" and \"output\"");
+  return std::pair{Extent{color->width, color->height}, Extent{output->width, output->height}};
+}
+
+Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& arguments,
+                               std::optional<Extent> render, std::optional<Extent> output) {
+  Sandwich sandwich;
+  std::error_code ignored;
+  if (!std::filesystem::is_directory(path, ignored)) {
+    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+    if (is_package(bytes)) {
+      Result<Package> package = read_package(bytes);
+      if (!package) return in_file(path, package.error());
+      sandwich.name = std::filesystem::path(path).stem().string();
+      sandwich.package = *std::move(package);
+      return sandwich;
+    }
+  }
+  SHALE_TRY(const ModelFiles model, load_model(path, arguments.frame));
+  if (!model.frame)
+    return bad_input(model.path, "has no sandwich; name its frame.json with --frame");
+  SHALE_TRY(CompileOptions options, arguments.options(model));
+  const auto take = [](std::optional<FrameExtent>& size, std::optional<Extent> from) {
+    if (!size && from) size = FrameExtent{from->width, from->height};
+  };
+  take(options.sizes.render, render);
+  take(options.sizes.output, output);
+  SHALE_TRY(Compiled compiled, compile_model(model, options));
+  for (const std::string& warning : compiled.warnings)
+    fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  sandwich.name = model.name;
+  sandwich.package = std::move(compiled.package);
+  if (model.bytes.empty()) return sandwich;
+  SHALE_TRY(sandwich.graph, import_model(model.bytes));
+  SHALE_TRY_VOID(match_shapes(*sandwich.graph, sandwich.package.variants.front()));
+  return sandwich;
+}
+
+Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package) {
+  const vk::Context& context = device.context();
+  SHALE_TRY(FrameLoop loop, FrameLoop::create(context, package,
+                                              {.frames_in_flight = 1, .cache = device.cache()}));
+  SHALE_TRY_VOID(sandwich_sizes(package));
+  auto player = std::unique_ptr<Player>(new Player(context, std::move(loop)));
+  SHALE_TRY_VOID(player->make_images());
+  return player;
+}
+
+Result<void> Player::make_images() {
+  std::vector<VkImageMemoryBarrier> barriers;
+  for (const Resource& resource : loop_.variant().resources) {
+    const bool is_input = resource.category == Category::kImageInput;
+    if (!is_input && resource.category != Category::kImageOutput) continue;
+    const bool known = is_input ? resource.name == "color" || resource.name == "depth" ||
+                                      resource.name == "motion"
+                                : resource.name == "output";
+    if (!known)
+      return unsupported("image \"" + resource.name + "\"",
+                         "is none of those that this program fills and shows: color, depth, motion, "
+                         "output");
+    const VkImageUsageFlags usage =
+        is_input ? VK_IMAGE_USAGE_SAMPLED_BIT : VK_IMAGE_USAGE_STORAGE_BIT;
+    HostImage host{&resource, {}, {}};
+    SHALE_TRY(host.image, vk::Image::create(context_, resource.format,
+                                            {resource.width, resource.height}, usage));
+    SHALE_TRY(host.staging,
+              vk::Buffer::create(
+                  context_, (image_bytes(resource) + 3) / 4 * 4,
+                  is_input ? VK_BUFFER_USAGE_TRANSFER_SRC_BIT : VK_BUFFER_USAGE_TRANSFER_DST_BIT,
+                  is_input ? vk::MemoryKind::kUpload : vk::MemoryKind::kReadback));
+    SHALE_TRY_VOID(loop_.bind_image(resource.name, {host.image.view(),
+                                                    vk::vk_format(resource.format),
+                                                    host.image.extent()}));
+    auto barrier = vk::init<VkImageMemoryBarrier>(VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER);
+    barrier.oldLayout = VK_IMAGE_LAYOUT_UNDEFINED;
+    barrier.newLayout = VK_IMAGE_LAYOUT_GENERAL;
+    barrier.srcQueueFamilyIndex = barrier.dstQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED;
+    barrier.image = host.image.get();
+    barrier.subresourceRange = vk::kWholeImage;
+    barrier.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
+    barriers.push_back(barrier);
+    images_.emplace(resource.name, std::move(host));
+  }
+  const auto is_unorm = [&](const char* name) {
+    return images_.at(name).resource->format == ImageFormat::kRgba8Unorm;
+  };
+  if (is_unorm("color") != is_unorm("output"))
+    return unsupported("", "one of color and output is rgba8_unorm, the other is not");
+  return vk::submit_and_wait(context_, [&](VkCommandBuffer commands) {
+    vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT,
+                         VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 0, nullptr, 0, nullptr,
+                         static_cast<uint32_t>(barriers.size()), barriers.data());
+  });
+}
+
+Extent Player::extent_of(const std::string& name) const {
+  const Resource& image = *images_.at(name).resource;
+  return {image.width, image.height};
+}
+
+bool Player::is_display() const {
+  return images_.at("color").resource->format == ImageFormat::kRgba8Unorm;
+}
+
+void Player::reset() {
+  loop_.reset_history();
+  has_past_ = false;
+}
+
+Result<void> Player::upload(const SourceFrame& frame) {
+  for (auto& [name, host] : images_) {
+    if (host.resource->category != Category::kImageInput) continue;
+    const FloatImage& from = name == "color"   ? frame.color
+                             : name == "depth" ? frame.depth
+                                               : frame.motion;
+    const uint32_t channels = name == "color" ? 3 : name == "depth" ? 1 : 2;
+    if (from.empty())
+      return bad_input("", "has no {}, which the sandwich takes; it needs a scene or a dataset",
+                       name);
+    if (from.width != host.resource->width || from.height != host.resource->height ||
+        from.channels < channels)
+      return bad_input("", "{} has {}x{} pixels with {} channels, expected {}x{} with {}", name,
+                       from.width, from.height, from.channels, host.resource->width,
+                       host.resource->height, channels);
+    pack_texels(from, host.resource->format, host.staging.mapped());
+  }
+  return {};
+}
+
+Result<void> Player::set_params(const FrameCamera& camera) {
+  for (const Param& param : loop_.variant().params) {
+    if (param.source != ParamSource::kHost) continue;
+    const auto set = [&](std::span<const float> values) {
+      return loop_.set_param(param.name, values);
+    };
+    if (param.name == "jitter") SHALE_TRY_VOID(set(camera.jitter));
+    if (param.name == "previous_jitter")
+      SHALE_TRY_VOID(set(has_past_ ? previous_jitter_ : camera.jitter));
+    if (param.name == "exposure") SHALE_TRY_VOID(set(std::array{camera.exposure}));
+    if (param.name == "reverse_depth")
+      SHALE_TRY_VOID(set(std::array{camera.reverse_depth ? 1.0f : 0.0f}));
+    if (param.name == "depth_to_view")
+      SHALE_TRY_VOID(set(depth_to_view({.near_plane = camera.near_plane,
+                                        .far_plane = camera.far_plane,
+                                        .fov_x = camera.fov_x,
+                                        .fov_y = camera.fov_y,
+                                        .reverse = camera.reverse_depth})));
+  }
+  return {};
+}
+
+Result<FloatImage> Player::play(const SourceFrame& frame, std::vector<DispatchTime>* times) {
+  if (frame.camera.cut) reset();
+  SHALE_TRY_VOID(upload(frame));
+  SHALE_TRY_VOID(set_params(frame.camera));
+  const std::span<const Segment> segments(loop_.variant().segments);
+  std::optional<vk::Timestamps> timestamps;
+  if (times) {
+    SHALE_TRY(timestamps, vk::Timestamps::create(context_, interval_count(segments)));
+  }
+  const HostImage& output = images_.at("output");
+  Result<void> recorded;
+  SHALE_TRY_VOID(vk::submit_and_wait(context_, [&](VkCommandBuffer commands) {
+    for (const auto& [name, host] : images_) {
+      if (host.resource->category != Category::kImageInput) continue;
+      const VkBufferImageCopy in = whole(host.image.extent());
+      vkCmdCopyBufferToImage(commands, host.staging.get(), host.image.get(),
+                             VK_IMAGE_LAYOUT_GENERAL, 1, &in);
+    }
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_WRITE_BIT | VK_ACCESS_TRANSFER_READ_BIT,
+                       VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                       VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
+    recorded = loop_.record(commands, timestamps ? &*timestamps : nullptr);
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
+                       VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_READ_BIT);
+    const VkBufferImageCopy out = whole(output.image.extent());
+    vkCmdCopyImageToBuffer(commands, output.image.get(), VK_IMAGE_LAYOUT_GENERAL,
+                           output.staging.get(), 1, &out);
+    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT,
+                       VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+  }));
+  SHALE_TRY_VOID(recorded);
+  if (timestamps) {
+    SHALE_TRY(*times, measured_times(*timestamps, segments));
+  }
+  previous_jitter_ = frame.camera.jitter;
+  has_past_ = true;
+  const FloatImage four =
+      unpack_texels(output.staging.mapped(), output.resource->format, output_size());
+  FloatImage result{four.width, four.height, 3, {}};
+  result.values.reserve(four.values.size() / 4 * 3);
+  for (size_t i = 0; i < four.values.size(); ++i)
+    if (i % 4 != 3) result.values.push_back(four.values[i]);
+  return result;
+}
+
+Result<FloatImage> Player::show(SourceFrame& frame, std::vector<DispatchTime>* times) {
+  if (is_display()) {
+    frame.color = display_image(frame.color, frame.camera.exposure);
+    return play(frame, times);
+  }
+  SHALE_TRY(const FloatImage linear, play(frame, times));
+  return display_image(linear, frame.camera.exposure);
+}
+
+Result<void> Player::warm_up(const SourceFrame& frame) {
+  const Result<FloatImage> ignored = play(frame);
+  if (!ignored) return ignored.error();
+  reset();
+  return {};
+}
+
+const Resource* Player::resource(const std::string& name) const {
+  for (const Resource& each : loop_.variant().resources)
+    if (each.name == name) return &each;
+  return nullptr;
+}
+
+Result<Tensor> Player::read_tensor(const std::string& name) const {
+  SHALE_TRY(const TensorView view, loop_.tensor(name));
+  const Resource& tensor = *resource(name);
+  SHALE_TRY(const vk::Buffer buffer,
+            download(context_, view.size_bytes, [&](VkCommandBuffer commands, VkBuffer to) {
+              const VkBufferCopy copy{view.offset, 0, view.size_bytes};
+              vkCmdCopyBuffer(commands, view.buffer, to, 1, &copy);
+            }));
+  Tensor result{{tensor.dtype, tensor.shape}, {}};
+  result.bytes.assign(buffer.mapped().begin(),
+                      buffer.mapped().begin() + static_cast<std::ptrdiff_t>(tensor.size_bytes));
+  return result;
+}
+
+Result<FloatImage> Player::read(const std::string& name, bool real) const {
+  const Resource* wanted = resource(name);
+  if (!wanted) return bad_input("", "there is no image or tensor \"{}\"", name);
+  const Extent extent{wanted->width, wanted->height};
+  if (is_image(wanted->category)) {
+    VkImage image = VK_NULL_HANDLE;
+    if (const auto host = images_.find(name); host != images_.end()) {
+      image = host->second.image.get();
+    } else {
+      SHALE_TRY(image, loop_.image(name));
+    }
+    SHALE_TRY(const vk::Buffer buffer,
+              download(context_, (image_bytes(*wanted) + 3) / 4 * 4,
+                       [&](VkCommandBuffer commands, VkBuffer to) {
+                         const VkBufferImageCopy copy = whole({extent.width, extent.height});
+                         vkCmdCopyImageToBuffer(commands, image, VK_IMAGE_LAYOUT_GENERAL, to, 1,
+                                                &copy);
+                       }));
+    return unpack_texels(buffer.mapped(), wanted->format, extent);
+  }
+  SHALE_TRY(const Tensor tensor, read_tensor(name));
+  const Shape& shape = tensor.type.shape;
+  if (shape.size() != 4 || shape[0] != 1)
+    return bad_input("", "tensor \"{}\" is not NHWC with one batch", name);
+  FloatImage result{static_cast<uint32_t>(shape[2]), static_cast<uint32_t>(shape[1]),
+                    static_cast<uint32_t>(shape[3]), {}};
+  const Quantization quantization = real ? wanted->quantization.value_or(Quantization{})
+                                         : Quantization{};
+  result.values.reserve(static_cast<size_t>(tensor.count()));
+  for (int64_t i = 0; i < tensor.count(); ++i)
+    result.values.push_back(
+        quantization.scale * static_cast<float>(tensor.get(i) - quantization.zero_point));
+  return result;
+}
+
+Result<std::vector<Panel>> Player::views() const {
+  std::map<std::string, FloatImage> known;
+  std::vector<Panel> panels;
+  for (const View& view : loop_.variant().views) {
+    const std::string& name = loop_.variant().resources[view.resource].name;
+    if (!known.contains(name)) {
+      SHALE_TRY(known[name], read(name, true));
+    }
+    const FloatImage& from = known.at(name);
+    Picture picture = Picture::filled(from.width, from.height, 0);
+    for (size_t i = 0; i < size_t{from.width} * from.height; ++i) {
+      for (uint32_t c = 0; c < 3; ++c) {
+        // One channel shows as grey, two as red and green around the middle of blue.
+        const uint32_t channel = view.channels == 1 ? 0 : c;
+        float shown = 0.5f;
+        if (channel < view.channels)
+          shown = (from.values[i * from.channels + view.first_channel + channel] - view.low) /
+                  (view.high - view.low);
+        picture.rgba[i * 4 + c] =
+            shown > 0 ? static_cast<uint8_t>(std::lround(std::min(shown, 1.0f) * 255)) : uint8_t{0};
+      }
+    }
+    panels.push_back({view.title, std::move(picture)});
+  }
+  return panels;
+}
+
+}  // namespace shale

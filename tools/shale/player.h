@@ -1,0 +1,107 @@
+// tools/shale/player.h -- a sandwich on a device of the tool's own: frames in, pictures out, and a look
+// at everything between.
+#pragma once
+
+#include <array>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "ir/graph/tensor.h"
+#include "runtime/frame/frame_loop.h"
+#include "runtime/vk/memory.h"
+#include "tools/scene/frame_source.h"
+#include "tools/shale/command.h"
+#include "tools/shale/device_run.h"
+#include "tools/shale/picture.h"
+
+namespace shale {
+
+/// A sandwich to play, and its network as the model file has it where that is at hand.
+struct Sandwich {
+  std::string name;
+  Package package;
+  std::optional<Graph> graph;  ///< before the passes; empty for a package, or without a network
+};
+
+/// Sizes of a package's images color and output, of its first variant.
+/// Errors: kBadInput if it has no such images.
+Result<std::pair<Extent, Extent>> sandwich_sizes(const Package& package);
+
+/// Takes a package as it is, or compiles a model for the sizes, where they are given.
+/// Errors: kBadInput, naming the file, if there is no sandwich; those of compiling.
+Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& arguments,
+                               std::optional<Extent> render, std::optional<Extent> output);
+
+class Player {
+ public:
+  /// `device` must outlive the player. Known image names are color, depth, motion (inputs) and
+  /// output; color and output may be rgba8_unorm, which holds pictures as a display shows them, or a
+  /// float format, which holds linear HDR.
+  /// Errors: kBadInput without a sandwich, kUnsupported for other images, kDevice.
+  static Result<std::unique_ptr<Player>> create(const ToolDevice& device, const Package& package);
+
+  Extent render_size() const { return extent_of("color"); }
+  Extent output_size() const { return extent_of("output"); }
+  /// True if frames go in and out as a display shows them.
+  bool is_display() const;
+  const Variant& variant() const { return loop_.variant(); }
+
+  /// The next frame starts without a past. Frames with a cut do so themselves.
+  void reset();
+
+  /// Plays one frame; the result has 3 channels at output size: display values in [0, 1] if
+  /// is_display(), else linear. `times` gains the dispatches. Of `frame`, color holds display values
+  /// if is_display(); images that the sandwich does not take may be empty.
+  /// Errors: kBadInput if a size differs from the package's or an image is missing; kDevice.
+  Result<FloatImage> play(const SourceFrame& frame, std::vector<DispatchTime>* times = nullptr);
+
+  /// play() of a scene's frame, whose color is linear; the result is what a display shows of it, in
+  /// 8-bit steps. `frame` is changed to what the sandwich took.
+  Result<FloatImage> show(SourceFrame& frame, std::vector<DispatchTime>* times = nullptr);
+
+  /// play() on a frame that leaves no trace: drivers may compile a shader at its first dispatch.
+  Result<void> warm_up(const SourceFrame& frame);
+
+  /// An image after the last frame (integers as their values), or a graph input or output of
+  /// NHWC [1,h,w,c], int8 codes as real values if `real` and its quantization is known.
+  /// Errors: kBadInput if there is nothing of that name to read; kDevice.
+  Result<FloatImage> read(const std::string& name, bool real) const;
+
+  /// The bytes of a graph input or output after the last frame.
+  Result<Tensor> read_tensor(const std::string& name) const;
+
+  /// The package's views of the last frame as panels.
+  Result<std::vector<Panel>> views() const;
+
+ private:
+  struct HostImage {
+    const Resource* resource;
+    vk::Image image;
+    vk::Buffer staging;  ///< filled before a frame, or read after it
+  };
+  Player(const vk::Context& context, FrameLoop loop) : context_(context), loop_(std::move(loop)) {}
+
+  Result<void> make_images();
+  Result<void> upload(const SourceFrame& frame);
+  Result<void> set_params(const FrameCamera& camera);
+  Extent extent_of(const std::string& name) const;
+  const Resource* resource(const std::string& name) const;
+
+  const vk::Context& context_;
+  FrameLoop loop_;
+  std::map<std::string, HostImage> images_;
+  std::array<float, 2> previous_jitter_{};
+  bool has_past_ = false;
+};
+
+/// Texels of an image, as they lie in a buffer, to floats and back. `channels` of `from` that a
+/// format lacks are dropped; what it lacks itself is 0, alpha 1.
+FloatImage unpack_texels(std::span<const uint8_t> bytes, ImageFormat format, Extent extent);
+void pack_texels(const FloatImage& from, ImageFormat format, std::span<uint8_t> bytes);
+
+}  // namespace shale

@@ -1,0 +1,43 @@
+// tools/shale/source.h -- where the frames come from that a command line names.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "tools/scene/frame_source.h"
+#include "tools/shale/device_run.h"
+
+namespace shale {
+
+enum class SourceKind {
+  kScene,     ///< a scene file (.json)
+  kDataset,   ///< a folder with sequences (NNNN.json), or one such sequence
+  kPictures,  ///< anything else
+};
+
+/// By what lies at the path; a path with nothing there counts as pictures.
+SourceKind source_kind(const std::string& path);
+
+/// --frames, --first, --sequence.
+struct SourceArguments {
+  uint32_t frames = 0;  ///< 0 is all
+  uint32_t first = 0;
+  uint32_t sequence = 0;
+  void add_to(CLI::App& app);
+};
+
+/// The frames of a dataset.
+/// Errors: kIo; kBadInput if there is no such sequence or frame.
+Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
+                                                  const SourceArguments& arguments);
+
+/// The frames of a scene, rendered on the device at these sizes.
+/// Errors: as load_scene and SceneSource::create.
+Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,
+                                                const SourceArguments& arguments,
+                                                const ToolDevice& device, Extent render,
+                                                Extent output);
+
+}  // namespace shale

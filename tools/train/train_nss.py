@@ -1,0 +1,313 @@
+#!/usr/bin/python3
+"""Trains an NSS network on rendered clips, recurrently, through the differentiable passes.
+
+One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
+every CHUNK frames (the state goes on, its gradient does not). With --qat the activation ranges are measured first and
+then held while the INT8 arithmetic is faked. Sequences are a function of (seed, step), so a resumed run continues with
+the same bits, given the same machine and thread count. AdamW, cosine rate, 5 % warm-up.
+
+Loss per frame, on display pictures d(x) = sqrt(x / (1 + x)) of exposed colour, E = d(prediction) - d(truth):
+lerp(L_T, L_S, w) + 0.1 mean|E of the filtered colour| (0.5 on frame 0) + 0.002 mean (theta - 1)^2 where nothing is
+disoccluded; L_S = mean|E| + 4 mean E^2 + 0.5 mean|gradient of E|; L_T = mean(exp(4 |E_t - warp(E_t-1)|) - 1) / 4; w
+from .6 to .9 over the frames.
+Source: NSS notes 5. Ours: the gradient and square terms in place of LPIPS (no weights of it are at hand), the display
+curve, the smaller weights, the chunks.
+
+Examples:
+  python3 tools/train/train_nss.py --mode v1_high --data build/train/nss_data --steps 1000 --out build/train/nss_high
+  python3 tools/train/train_nss.py --mode v1_low --data build/train/nss_data --steps 500 \\
+      --init build/train/nss_high/last.pt --out build/train/nss_low
+  python3 tools/train/train_nss.py --mode v1_high --data build/train/nss_data --steps 100 --qat --lr 0.0001 \\
+      --init build/train/nss_high/last.pt --out build/train/nss_high_qat
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+import nss
+import nss_data
+import nss_passes as passes
+from train_srpo import Interruption, load_checkpoint, save_atomically
+
+CALIBRATION_SEQUENCES = 12
+#: Render size of the pictures that the crops are cut from; it decides the tolerance of the depth test.
+FULL = (960, 540)
+
+
+class _Display(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, x):
+        scale = 1.0 / (1.0 + x)
+        y = torch.sqrt(x * scale + 1e-4)
+        ctx.save_for_backward(scale, y)
+        return y
+
+    @staticmethod
+    def backward(ctx, gradient):
+        scale, y = ctx.saved_tensors
+        return gradient * (scale * scale).div_(y).mul_(0.5)
+
+
+def display(x: torch.Tensor) -> torch.Tensor:
+    """Exposed linear colour to about what a display shows; smooth at 0, cheaper than the sRGB curve."""
+    return _Display.apply(x)
+
+
+def frame_weight(t: int, frames: int, low: float = 0.6, high: float = 0.9) -> float:
+    """w of the recipe: low at the first frame, high at the last."""
+    return high + (low - high) * (1 + math.cos(math.pi * t / max(frames - 1, 1))) / 2
+
+
+class _SpatialLoss(torch.autograd.Function):
+    """Value and gradient in one go; autograd's slices cost more than the loss."""
+
+    @staticmethod
+    def forward(ctx, error):
+        dx = error[:, :, :, 1:] - error[:, :, :, :-1]
+        dy = error[:, :, 1:] - error[:, :, :-1]
+        value = error.abs().mean() + 4.0 * (error * error).mean() + 0.25 * (dx.abs().mean() + dy.abs().mean())
+        slope = (torch.sign(error) + 8.0 * error) / error.numel()
+        sx, sy = torch.sign(dx).mul_(0.25 / dx.numel()), torch.sign(dy).mul_(0.25 / dy.numel())
+        slope[:, :, :, 1:] += sx
+        slope[:, :, :, :-1] -= sx
+        slope[:, :, 1:] += sy
+        slope[:, :, :-1] -= sy
+        ctx.save_for_backward(slope)
+        return value
+
+    @staticmethod
+    def backward(ctx, gradient):
+        return ctx.saved_tensors[0] * gradient
+
+
+def spatial_loss(error: torch.Tensor) -> torch.Tensor:
+    """L1, squares and gradients of a display-domain error."""
+    return _SpatialLoss.apply(error)
+
+
+def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
+    """image at uv - motion, 0 outside."""
+    r = passes.uv_grid(image.shape[3], image.shape[2], image) - motion
+    return F.grid_sample(image, r.permute(0, 2, 3, 1) * 2 - 1, padding_mode="zeros", align_corners=False)
+
+
+class Rollout:
+    """The network through the frames of a sequence."""
+
+    def __init__(self, model: nss.Nss, sequence: nss_data.Sequence, frames: int):
+        self.model, self.sequence, self.frames = model, sequence, frames
+        self.state: passes.State | None = None
+        self.error: torch.Tensor | None = None
+        self.squares: list[float] = []
+
+    def step(self, t: int) -> torch.Tensor:
+        """Runs frame t and returns its loss."""
+        mode, frame = self.model.mode, self.sequence.frame(t)
+        truth = self.sequence.truth(t)
+        output = (truth.shape[3], truth.shape[2])
+        wanted = display(truth * frame.exposure)
+        before = passes.pre(mode, frame, self.state)
+        outputs = self.model(before.input)
+        after = passes.post(mode, frame, before, outputs, self.state, output)
+        error = display(after.output * frame.exposure) - wanted
+        loss = spatial_loss(error)
+        filtered = (display(after.filtered) - wanted).abs().mean()
+        if self.state is None:
+            loss = loss + 0.5 * filtered
+        else:
+            w = frame_weight(t, self.frames)
+            change = error - warp(self.error, self.sequence.truth_motion(t))
+            temporal = torch.expm1(4.0 * change.abs().clamp(max=1.0)).mean() / 4.0
+            loss = w * loss + (1.0 - w) * temporal + 0.1 * filtered
+            if mode.generation:
+                known = passes.bilinear((before.disocclusion < 0.01).float(),
+                                        passes.uv_grid(*output, error).expand(len(error), -1, -1, -1))
+                loss = loss + 0.002 * ((after.theta - 1.0) ** 2 * known).mean()
+        self.state = passes.next_state(frame, before, outputs, after)
+        self.error = error.detach()
+        self.squares.append(float((self.error**2).mean()))
+        return loss
+
+    def detach(self) -> None:
+        """Cuts the gradient between chunks."""
+        self.state = self.state.detached()
+
+
+def learning_rate(base: float, step: float, steps: int) -> float:
+    """5 % linear warm-up, then a cosine down to a thousandth."""
+    warm = 0.05 * steps
+    if step < warm:
+        return base * (step + 1) / (warm + 1)
+    return base * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * (step - warm) / max(steps - warm, 1))))
+
+
+def calibrate(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Namespace) -> None:
+    """Measures the activation ranges on sequences of their own."""
+    model.observed = {}
+    with torch.no_grad():
+        for index in range(CALIBRATION_SEQUENCES):
+            rng = np.random.default_rng([options.seed, 10**9, index])
+            rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
+                                                   device=options.device, full=FULL), options.frames)
+            for t in range(options.frames):
+                rollout.step(t)
+    model.calibrated()
+
+
+def start_weights(model: nss.Nss, path: Path) -> str:
+    """Takes over the weights of another run, of this or another mode; returns what it was."""
+    first, _ = nss.load_model(path)
+    weights = first.state_dict()
+    if first.mode.name == "v1_high" and model.mode.name == "v1_low":
+        weights = nss.central_kernel(weights)
+    model.load_state_dict(nss.shared_layers(model, weights))
+    return first.mode.name
+
+
+def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print, stop_after: int | None = None) -> dict:
+    """Runs until options.steps (or stop_after) and returns the final checkpoint.
+
+    Errors: ValueError, OSError; KeyboardInterrupt after Ctrl-C, with the checkpoint written.
+    """
+    torch.manual_seed(options.seed)
+    torch.set_num_threads(options.threads)
+    model = nss.Nss(passes.MODES[options.mode]).to(options.device)
+    model = model.to(memory_format=torch.channels_last)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
+    record = {key: getattr(options, key) for key in ("mode", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
+                                                     "qat")}
+    record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0)
+    options.out.mkdir(parents=True, exist_ok=True)
+    path, start = options.out / "last.pt", 0
+    if options.resume:
+        state = load_checkpoint(path)
+        for key, value in record.items():
+            if key not in ("seconds", "starts_from", "earlier") and state["record"].get(key) != value:
+                raise ValueError(f"{path}: checkpoint has {key} {state['record'].get(key)}, the run asks {value}")
+        model.load_state_dict(state["model"])
+        optimizer.load_state_dict(state["optimizer"])
+        model.ranges, record, start = state["ranges"], state["record"], state["step"]
+    else:
+        if options.init:
+            record["starts_from"] = start_weights(model, options.init)
+            earlier = nss.load_model(options.init)[1]
+            record["earlier"] = earlier.get("earlier", []) + [{k: v for k, v in earlier.items() if k != "earlier"}]
+        if options.qat:
+            calibrate(model, clips, options)
+    report(f"seed {options.seed}, step {start} of {options.steps}")
+
+    spent, began, mean = record["seconds"], time.monotonic(), None
+
+    def state_at(step: int) -> dict:
+        record["seconds"] = round(spent + time.monotonic() - began, 1)
+        return {"model": model.state_dict(), "optimizer": optimizer.state_dict(), "step": step, "record": record,
+                "ranges": model.ranges}
+
+    step, end = start, options.steps if stop_after is None else min(stop_after, options.steps)
+    with Interruption() as interruption:
+        while step < end and not interruption.asked:
+            rng = np.random.default_rng([options.seed, step])
+            rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
+                                                   device=options.device, full=FULL), options.frames)
+            for first in range(0, options.frames, options.chunk):
+                for group in optimizer.param_groups:
+                    group["lr"] = learning_rate(options.lr, step + first / options.frames, options.steps)
+                last = min(first + options.chunk, options.frames)
+                loss = sum(rollout.step(t) for t in range(first, last)) / (last - first)
+                optimizer.zero_grad()
+                loss.backward()
+                torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+                optimizer.step()
+                rollout.detach()
+            step += 1
+            late = rollout.squares[len(rollout.squares) // 2 :]
+            now = (float(loss.detach()), sum(late) / len(late))
+            mean = now if mean is None else tuple(0.97 * a + 0.03 * b for a, b in zip(mean, now))
+            if step % options.every == 0:
+                save_atomically(state_at(step), path)
+                report(f"step {step}/{options.steps} loss {mean[0]:.5f} display {-10 * math.log10(mean[1]):.2f} dB "
+                       f"{record['seconds']:.0f} s")
+    state = state_at(step)
+    save_atomically(state, path)
+    if interruption.asked:
+        report(f"stopped at step {step}; continue with --resume")
+        raise KeyboardInterrupt
+    return state
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Reads and checks the command line."""
+    parser = argparse.ArgumentParser(
+        description="Trains NSS and keeps one checkpoint, OUT/last.pt, with its record OUT/record.json.",
+        epilog="example: python3 tools/train/train_nss.py --mode v1_high --data build/train/nss --out build/train/high",
+    )
+    parser.add_argument("--mode", choices=sorted(passes.MODES), required=True)
+    parser.add_argument("--data", type=Path, required=True, help="data set folder; its cache is DATA/clips.pt")
+    parser.add_argument("--steps", type=int, default=1000, help="sequences (default: 1000)")
+    parser.add_argument("--batch", type=int, default=4, help="crops per sequence (default: 4)")
+    parser.add_argument("--crop", type=int, default=96, help="crop side in render pixels (default: 96)")
+    parser.add_argument("--frames", type=int, default=16, help="frames per sequence (default: 16)")
+    parser.add_argument("--chunk", type=int, default=4, help="frames per update of the weights (default: 4)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--lr", type=float, default=1e-3, help="highest learning rate (default: 0.001)")
+    parser.add_argument("--qat", action="store_true", help="fake the INT8 arithmetic; needs --init")
+    parser.add_argument("--init", type=Path, help="checkpoint or weights to start from, of any mode")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
+    parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
+    parser.add_argument("--every", type=int, default=10, help="steps between checkpoints (default: 10)")
+    parser.add_argument("--threads", type=int, default=1, help="torch threads (default: 1)")
+    parser.add_argument("--device", default="cpu", help="torch device (default: cpu)")
+    options = parser.parse_args(arguments)
+    limits = {"steps": (1, 10**7), "batch": (1, 256), "crop": (16, 1024), "frames": (2, 256), "chunk": (1, 256),
+              "seed": (0, 999), "every": (1, 10**7), "threads": (1, 256)}
+    for name, (low, high) in limits.items():
+        if not low <= getattr(options, name) <= high:
+            raise ValueError(f"--{name} must lie in {low} to {high}, found {getattr(options, name)}")
+    if not 0 < options.lr <= 1:
+        raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
+    if options.crop % 16:
+        raise ValueError(f"--crop must be a multiple of 16, found {options.crop}")
+    if options.qat and not (options.init or options.resume):
+        raise ValueError("--qat needs --init")
+    return options
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; exit code 1 for refused input, 130 after Ctrl-C."""
+
+    def report(line: str) -> None:
+        if sys.stdout.isatty():
+            print(f"\r\033[K{line}", end="", flush=True)
+        else:
+            print(line, flush=True)
+
+    try:
+        options = parse(arguments)
+        clips = nss_data.load_clips(options.data, options.data / "clips.pt", report)
+        state = train(options, clips, report)
+        record = options.out / "record.json"
+        record.write_text(json.dumps(state["record"], indent=1, sort_keys=True) + "\n")
+    except KeyboardInterrupt:
+        if sys.stdout.isatty():
+            print()
+        return 130
+    except (ValueError, OSError) as error:
+        print(f"train_nss: error: {error}", file=sys.stderr)
+        return 1
+    if sys.stdout.isatty():
+        print()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
