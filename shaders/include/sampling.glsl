@@ -40,10 +40,24 @@ vec3 sample_exposed(texture2D image, vec2 uv, ivec2 size, float exposure) {
   return sum;
 }
 
-/// Catmull-Rom from the cross of the twelve texels around uv without the four corners, the weights made to sum to 1;
+/// Texel of a linear picture in the exposed Karis domain.
+vec3 mapped_texel(texture2D image, ivec2 at, ivec2 size, float exposure) {
+  return karis(exposed(texelFetch(image, inside(at, size), 0).rgb, exposure));
+}
+
+/// As sample_linear, between mapped texels.
+vec3 sample_linear_mapped(texture2D image, vec2 uv, ivec2 size, float exposure) {
+  const Bilinear b = bilinear_at(uv, size);
+  vec3 sum = vec3(0.0);
+  for (int i = 0; i < 4; ++i)
+    sum += bilinear_weight(b.part, i) * mapped_texel(image, b.base + ivec2(i & 1, i >> 1), size, exposure);
+  return sum;
+}
+
+/// Between mapped texels: Catmull-Rom from the cross of the twelve texels around uv without the four corners, the weights made to sum to 1;
 /// where a channel comes out negative, all are clamped to the five bilinear taps that the cross is made of.
 /// Source: nss.md section 3.1.
-vec3 sample_catmull_rom(texture2D image, vec2 uv, ivec2 size) {
+vec3 sample_catmull_rom_mapped(texture2D image, vec2 uv, ivec2 size, float exposure) {
   const Bilinear b = bilinear_at(uv, size);
   const vec2 f = b.part, f2 = f * f, f3 = f2 * f;
   const vec2 w0 = f2 - 0.5 * (f3 + f);
@@ -52,7 +66,7 @@ vec3 sample_catmull_rom(texture2D image, vec2 uv, ivec2 size) {
   const vec2 w2 = 1.0 - w0 - w1 - w3;
   const vec2 w12 = w1 + w2;
   const vec2 mid = w2 / w12;
-  #define SHALE_AT(x, y) texelFetch(image, inside(b.base + ivec2(x, y), size), 0).rgb
+  #define SHALE_AT(x, y) mapped_texel(image, b.base + ivec2(x, y), size, exposure)
   const vec3 centre = mix(mix(SHALE_AT(0, 0), SHALE_AT(1, 0), mid.x), mix(SHALE_AT(0, 1), SHALE_AT(1, 1), mid.x), mid.y);
   const vec3 left = mix(SHALE_AT(-1, 0), SHALE_AT(-1, 1), mid.y);
   const vec3 right = mix(SHALE_AT(2, 0), SHALE_AT(2, 1), mid.y);

@@ -474,7 +474,7 @@ Sample look(vec2 position) {
       vec2 q = (position * frame.size.zw - rect.xy) / rect.zw;
       bool inside = all(greaterThanEqual(q, vec2(0.0))) && all(lessThan(q, vec2(1.0)));
       vec2 glyph_at = vec2(q.x * ink.w * text.y * 1.75 - 0.5, q.y * ink.w + text.x);
-      float stroke = glyphs(glyph_at, uint(text.z));
+      float stroke = glyph_at.x > 0.0 ? glyphs(glyph_at, uint(text.z)) : 0.0;
       vec3 over = mix(mix(color, back.rgb, back.w), ink.rgb, stroke);
       color = inside ? over : color;
     }

@@ -11,13 +11,18 @@ Conventions, the same in the shaders:
   prev = uv - m. "Bilinear at r" is texel coordinate r * size - 0.5 with tap indices clamped to the image.
 - Colour: NaN or negative -> 0, at most 65504, then x = min(e * c, 65504), all before any interpolation.
   T(x) = x / (1 + max); the inverse divides by 1 - min(max, 1 - 1e-7) and stops at 65504.
-- The history is the previous output: linear, exposure removed, half floats; it is multiplied by e after sampling.
+- The history is the previous output: linear, exposure removed, half floats. Pre passes: bilinear of the stored values,
+  then e, then T. Post passes: every texel first becomes T(min(e * c, 65504)), then the interpolation.
 - Motion shorter than or equal to 0.1 px is 0: render pixels in the pre passes, OUTPUT pixels in the post passes
   (v0_1: squared length 0.01). The pre pass stores where the nearest depth is; motion is fetched there.
 - Nearest depth: centre first, then row by row; strictly nearer wins; taps clamp. Windows: v1 -1..2, v0_1 -1..1.
 - Sparse kernel: `tap_table`. Channel (dy - first) + K * (dx - first), first = -2 (K = 6) or -1 (K = 4).
-- Filtered colour, second moment and rectification are in exposed linear colour. An output pixel without a centre
-  sample shows R itself, without the round trip through T.
+- POST PASSES WORK IN T-MAPPED COLOUR (`Mode.tonemapped`), unlike the notes, which filter exposed linear colour: samples
+  c = T(min(e * colour, 65504)), m1 and m2 their moments, history H interpolated between T-mapped texels and clamped to
+  0..1, sigma, clamp and lerps as in 3.3 and 3.4, the centre mixed as lerp(R, T(centre), alpha) with no further
+  conversion, and output = Tinv(result) / e. Measured on a first frame: +0.1 to +0.7 dB, +3.4 dB at night, because the
+  truth is averaged after T. An output pixel without a centre sample shows Tinv(R) / e. With False the notes' way is
+  computed: everything linear, only the centre is mixed between T(R) and T(centre).
 
 Choices of ours where the notes leave room:
 - v1 scatter and low-resolution disocclusion: each block's nearest texel (row order, strictly nearer) gives depth and
@@ -64,6 +69,7 @@ class Mode:
     weight_floor: float
     kpn_shift: int  # render texel index >> shift = KPN texel index (v1)
     catmull_rom: bool = True
+    tonemapped: bool = True  # post pass in T-mapped colours; False is the notes' exposed linear colour
 
     @property
     def first(self) -> int:
@@ -134,7 +140,7 @@ class Pre:
 
 @dataclass
 class Post:
-    """Result of the post pass. output: linear, exposure removed; filtered: exposed; both `[n, 3, H, W]`."""
+    """Result of the post pass. output: linear, exposure removed; filtered: linear, exposed; both `[n, 3, H, W]`."""
 
     output: torch.Tensor
     filtered: torch.Tensor
@@ -660,7 +666,7 @@ def sparse_filter(mode: Mode, frame: Frame, table: TapTable, kernel: torch.Tenso
     w, h = frame.size
     (tw, th), (sw, sh) = table.tile, table.step
     rows, columns = output[1] // th, output[0] // tw
-    exposed = _exposed(frame)
+    exposed = karis(_exposed(frame)) if mode.tonemapped else _exposed(frame)
     planes = [torch.ones_like(exposed[:, :1]), exposed] + ([exposed * exposed] if mode.generation else [])
     reach = [part for line in table.taps for taps in line for tap in taps for part in (*tap.lr, -tap.lr[0], -tap.lr[1])]
     m = max(reach) + 1
@@ -780,8 +786,10 @@ def post(mode: Mode, frame: Frame, before: Pre, outputs: dict, state: State | No
         with torch.no_grad():
             r = uv_grid(*output, m1) - output_motion(before.motion, output)
             onscreen = ((r >= 0) & (r < 1)).all(1, keepdim=True)
-        history = _CatmullRom.apply(state.history, r) if mode.catmull_rom else bilinear(state.history, r)
-        history = (history * frame.exposure).clamp(0.0, HALF_MAX)
+        history = (state.history * frame.exposure).clamp(0.0, HALF_MAX)
+        history = karis(history) if mode.tonemapped else history
+        history = _CatmullRom.apply(history, r) if mode.catmull_rom else bilinear(history, r)
+        history = history.clamp(0.0, 1.0 if mode.tonemapped else HALF_MAX)
         share = theta * onscreen
         if mode.generation:
             sigma = 2.0 * gamma * torch.sqrt((m2 - m1 * m1).abs().clamp(min=1e-7))
@@ -789,16 +797,22 @@ def post(mode: Mode, frame: Frame, before: Pre, outputs: dict, state: State | No
         else:
             mixed = _lerp(m1, history, share)
     if state is not None or not mode.generation:
-        mixed = _mix_centres(mixed, alpha, centres, table)
+        mixed = _mix_centres(mode, mixed, alpha, centres, table)
+    if mode.tonemapped:
+        mixed, m1 = karis_inverse(mixed), karis_inverse(m1)
     return Post(mixed * (1.0 / frame.exposure), m1, theta, alpha, {"temporal": p})
 
 
-def _mix_centres(mixed: torch.Tensor, alpha: torch.Tensor, centres: list, table: TapTable) -> torch.Tensor:
-    """Blends the samples that lie on an output pixel into it, between T-mapped colours."""
+def _mix_centres(mode: Mode, mixed: torch.Tensor, alpha: torch.Tensor, centres: list, table: TapTable) -> torch.Tensor:
+    """Blends the samples that lie on an output pixel into it, T-mapped."""
     (tw, th) = table.tile
     for ay, ax, colour in centres:
         part = mixed[:, :, ay::th, ax::tw]
-        blended = karis_inverse(_lerp(karis(part), karis(colour), alpha[:, :, ay::th, ax::tw]))
+        share = alpha[:, :, ay::th, ax::tw]
+        if mode.tonemapped:
+            blended = _lerp(part, colour, share)
+        else:
+            blended = karis_inverse(_lerp(karis(part), karis(colour), share))
         mixed = _Place.apply(mixed, blended, ay, ax, th, tw)
     return mixed
 

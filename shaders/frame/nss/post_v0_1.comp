@@ -2,7 +2,8 @@
 //
 // One invocation per output pixel: the samples of this frame that fall into its 4x4 kernel, weighted by the tensors k0
 // to k3 (a column each, 4 channels a texel); the history, blended in as the network says; a sample that lies on the
-// pixel itself, blended in. Colours are linear; output and history have the exposure removed.
+// pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes take linear ones: a display
+// shows means of it. Output and history are linear, with the exposure removed.
 // Source: nss.md sections 3.1 to 3.3; tools/train/nss_passes.py computes the same.
 #version 450
 #include "common.glsl"
@@ -51,7 +52,7 @@ void main() {
     for (int iy = 0; iy < KERNEL; ++iy) {
       if ((y.cells >> iy & 1u) == 0u) continue;
       const ivec2 texel = inside(ivec2(texel_at(x, ix), texel_at(y, iy)), kRender);
-      const vec3 c = exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure);
+      const vec3 c = karis(exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure));
       const float weight = max(column[iy], 1e-7);
       sum += weight * c;
       total += weight;
@@ -64,7 +65,7 @@ void main() {
   if (total == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum = exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure);
+    sum = karis(exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure));
     total = 1.0;
   }
   vec3 mixed = sum / total;
@@ -74,11 +75,11 @@ void main() {
     const int code = int(texelFetch(nearest, texel, 0).r * 255.0 + 0.5);
     const ivec2 offset = ivec2(code & 3, code >> 2) - 1;
     const vec2 before = uv - motion_at(motion, inside(texel + offset, kRender), kOutput, 0.1);
-    const vec3 past = exposed(max(sample_catmull_rom(history, before, kOutput), 0.0), params.exposure);
+    const vec3 past = clamp(sample_catmull_rom_mapped(history, before, kOutput, params.exposure), 0.0, 1.0);
     mixed = mix(mixed, past, on_screen(before) ? p.x : 0.0);
   }
-  if (has_centre) mixed = karis_inverse(mix(karis(mixed), karis(centre), 0.35 * p.y + 0.05));
-  const vec4 result = vec4(min(mixed / params.exposure, kMaxColor), 1.0);
+  if (has_centre) mixed = mix(mixed, centre, 0.35 * p.y + 0.05);
+  const vec4 result = vec4(min(karis_inverse(mixed) / params.exposure, kMaxColor), 1.0);
   imageStore(shown, at, result);
   imageStore(new_history, at, result);
 }

@@ -2,7 +2,8 @@
 //
 // One invocation per output pixel: the samples of this frame that fall into its kernel, weighted as the network says;
 // the history, clamped to their mean and deviation and blended as the network says; a sample that lies on the pixel
-// itself, blended in. Colours are linear; output and history have the exposure removed.
+// itself, blended in. All of it in exposed colours of the Karis domain, where the notes take linear ones: a display shows
+// means of it. Output and history are linear, with the exposure removed.
 // KERNEL 6 and TAPS 9 (HIGH) or 4 and 4 (MID, LOW); KPN_SHIFT: render texel >> shift is the texel of the kernel tensor;
 // CATMULL_ROM 1 or 0 chooses the filter of the history; WEIGHT_FLOOR is the least weight.
 // Source: nss.md sections 3.1, 3.2, 3.4; tools/train/nss_passes.py computes the same.
@@ -58,7 +59,7 @@ struct Filtered {
 /// Adds the sample of a texel at kernel cell (ix, iy).
 void add_sample(inout Filtered sum, int ix, int iy, ivec2 texel) {
   const ivec2 at = inside(texel, kRender);
-  const vec3 c = exposed(finite_color(texelFetch(color, at, 0).rgb), params.exposure);
+  const vec3 c = karis(exposed(finite_color(texelFetch(color, at, 0).rgb), params.exposure));
   const ivec2 cell = min(at >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
   const int index = (cell.y * KERNEL_WIDTH + cell.x) * KERNEL_CHANNELS + iy + KERNEL * ix;
   const float value = float(texelFetch(kernel, index).r - KERNEL_ZERO_POINT) * float(KERNEL_SCALE);
@@ -120,7 +121,7 @@ void main() {
   if (sum.weight == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum.first = exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure);
+    sum.first = karis(exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure));
     sum.second = sum.first * sum.first;
     sum.weight = 1.0;
   }
@@ -134,15 +135,14 @@ void main() {
     const vec3 sigma = 2.0 * p.z * sqrt(max(abs(sum.second / sum.weight - mean * mean), 1e-7));
     const vec2 before = uv - dilated_motion((2 * at + 1) * kRender / (2 * kOutput));
 #if CATMULL_ROM
-    const vec3 sampled = sample_catmull_rom(history, before, kOutput);
+    const vec3 past = clamp(sample_catmull_rom_mapped(history, before, kOutput, params.exposure), 0.0, 1.0);
 #else
-    const vec3 sampled = sample_linear(history, before, kOutput).rgb;
+    const vec3 past = sample_linear_mapped(history, before, kOutput, params.exposure);
 #endif
-    const vec3 past = exposed(max(sampled, 0.0), params.exposure);
     mixed = mix(clamp(past, mean - sigma, mean + sigma), past, on_screen(before) ? theta : 0.0);
-    if (sum.has_centre > 0.0) mixed = karis_inverse(mix(karis(mixed), karis(sum.centre), alpha));
+    mixed = mix(mixed, sum.centre, alpha * sum.has_centre);
   }
-  const vec4 result = vec4(min(mixed / params.exposure, kMaxColor), 1.0);
+  const vec4 result = vec4(min(karis_inverse(mixed) / params.exposure, kMaxColor), 1.0);
   imageStore(shown, at, result);
   imageStore(new_history, at, result);
 }

@@ -1,8 +1,9 @@
 // shaders/frame/nss/scatter.comp -- carries depth to where it was a frame ago: pass b of NSS v1.
 //
-// One invocation per block of BLOCK x BLOCK render texels takes the closest depth of the block and writes it, as
-// uint(depth * (2^31 - 1)), to the texels around its earlier position whose bilinear weight exceeds 0.1; the closest
-// wins. The result stands for the depth buffer of the frame before, which nobody has to keep.
+// One invocation per block of BLOCK x BLOCK render texels takes the closest depth of the block, with the motion there,
+// and writes it, as uint(depth * (2^31 - 1)), to the texels around the block's earlier position whose bilinear weight
+// exceeds 0.1; the closest wins. The result stands for the depth buffer of the frame before, which nobody has to keep.
+// The block's middle moves, not the texel that was chosen: so what stands still stays in its block.
 // Source: nss.md section 2.4 b.
 #version 450
 #include "common.glsl"
@@ -28,7 +29,7 @@ void main() {
       from = at;
     }
   }
-  const vec2 uv = (vec2(from) + 0.5) / vec2(kRender) - motion_at(motion, from, kRender, 0.1);
+  const vec2 uv = (vec2(block) + 0.5) / vec2(kScatter) - motion_at(motion, from, kRender, 0.1);
   const uint code = uint(closest * 2147483647.0);
   const Bilinear b = bilinear_at(uv, kScatter);
   for (int i = 0; i < 4; ++i) {

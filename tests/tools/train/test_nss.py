@@ -1,6 +1,7 @@
 """NSS: graph description, exact INT8, passes, data, training."""
 
 import argparse
+import dataclasses
 import json
 import struct
 import sys
@@ -220,7 +221,7 @@ class Kernel(unittest.TestCase):
         rng = np.random.default_rng(5)
         for name, render, output in (("v1_high", (24, 16), (36, 24)), ("v1_low", (16, 12), (36, 20)),
                                      ("v1_high", (10, 6), (13, 17)), ("v1_low", (4, 4), (36, 36))):
-            mode = passes.MODES[name]
+            mode = dataclasses.replace(passes.MODES[name], tonemapped=False)
             w, h = render
             jitter = (0.1875, -0.4375)
             frame = frame_of(torch.from_numpy(rng.random((1, 3, h, w), np.float32)), jitter)
@@ -279,7 +280,8 @@ class Kernel(unittest.TestCase):
 class Passes(unittest.TestCase):
     def test_constant_colour_stays(self):
         colour = torch.tensor([0.7, 3.0, 0.02]).view(1, 3, 1, 1)
-        for mode in passes.MODES.values():
+        modes = [dataclasses.replace(mode, tonemapped=t) for mode in passes.MODES.values() for t in (True, False)]
+        for mode in modes:
             for w, h, big in ((24, 20, (48, 40)), (20, 12, (30, 18))):
                 frame = frame_of(colour.expand(1, 3, h, w).clone(), exposure=1.7)
                 state = random_state(mode, w, h, big)
@@ -287,6 +289,21 @@ class Passes(unittest.TestCase):
                 before = passes.pre(mode, frame, state)
                 after = passes.post(mode, frame, before, random_outputs(mode, w, h), state, big)
                 torch.testing.assert_close(after.output, colour.expand_as(after.output), rtol=2e-4, atol=1e-5)
+
+    def test_filter_sees_mapped_colours(self):
+        """m1 and m2 are moments of T(e * colour); a firefly cannot outshine its neighbours."""
+        mode = passes.MODES["v1_high"]
+        colour = torch.rand(1, 3, 8, 8)
+        colour[:, :, 4, 4] = 1e4
+        frame = frame_of(colour, exposure=2.0)
+        kernel, table = random_outputs(mode, 8, 8)["kernel"], passes.tap_table(mode, (8, 8), (16, 16), frame.jitter)
+        m1, m2, _ = passes.sparse_filter(mode, frame, table, kernel, (16, 16))
+        plain = dataclasses.replace(mode, tonemapped=False)
+        mapped = frame_of(passes.karis(colour * 2.0))
+        want1, want2, _ = passes.sparse_filter(plain, mapped, table, kernel, (16, 16))
+        torch.testing.assert_close(m1, want1)
+        torch.testing.assert_close(m2, want2)
+        self.assertLess(float(m1.max()), 1.0)
 
     def test_reset_ignores_the_past(self):
         """A cut gives what a first frame gives, and the state of a reset frame holds nothing older."""
