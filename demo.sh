@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs what is missing, builds, and runs the bundled network on a bundled picture: ./demo.sh
+# Installs what is missing, builds, upscales a scene in motion and measures it: ./demo.sh
 # Leaves its results in out/.
 set -eu
 cd "$(dirname "$0")"
@@ -11,21 +11,25 @@ shale=build-demo/tools/shale
 mkdir -p out
 
 echo
-echo "== compile models/srpo_x2 for a 480x270 picture"
-$shale compile models/srpo_x2 --render 480x270 -o out/srpo_x2.shale
+echo "== compile NSS v1 HIGH for 960x540 -> 1920x1080"
+$shale compile models/nss_v1_high --render 960x540 --output-size 1920x1080 -o out/nss_v1_high.shale
 
 echo
-echo "== run its sandwich on models/pictures/raster_lr.png"
-$shale play out/srpo_x2.shale -i models/pictures/raster_lr.png -o out/result.png \
-  --reference models/pictures/raster_x2.png --compare out/side_by_side.png --profile
-$shale play out/srpo_x2.shale -i models/pictures/raster_lr.png -o out/result.png \
-  --reference models/pictures/raster_x2.png --compare out/zoom.png --crop 130,120,200,120 --zoom 4 >/dev/null
+echo "== render frames of a test scene, upscale them, and measure against the truth"
+$shale eval models/scenes/test/motion.json -m out/nss_v1_high.shale -m models/baselines/mob_fgsr \
+  -m models/baselines/bilinear --frames 8 --page out/report.html --json-file out/report.json
 
 echo
-echo "== what it costs at 960x540 -> 1920x1080"
-$shale report models/srpo_x2 --render 960x540
+echo "== what a frame is made of, and where its time goes"
+$shale play out/nss_v1_high.shale -i models/scenes/test/motion.json -o out/frames --frames 3 --profile \
+  --debug-view out/debug --animation out/animation.png
+
+echo
+echo "== what the network costs, and whether it fits the frame budget"
+$shale report models/nss_v1_high
 
 echo
 echo "Look at:"
-echo "  out/side_by_side.png  input, nearest, Lanczos and network"
-echo "  out/zoom.png          a part of it, four times as large, with the reference"
+echo "  out/report.html    figures over time, before and after, where the methods differ"
+echo "  out/animation.png  the upscaled frames, in a browser"
+echo "  out/debug/         what the passes and the network see and say"

@@ -62,7 +62,7 @@ TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
   for (const char* command :
-       {"compile", "run", "play", "report", "dump", "verify", "conform", "doctor"}) {
+       {"compile", "run", "play", "report", "dump", "verify", "conform", "doctor", "diff", "scene", "eval"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -157,7 +157,7 @@ TEST_F(Cli, PlayRunsTheSandwichOnAPictureAndAFolder) {
   const nlohmann::json json = nlohmann::json::parse(one.text);
   EXPECT_EQ(json["frames"][0]["width"], 960);
   EXPECT_EQ(json["frames"][0]["height"], 540);
-  EXPECT_GT(json["frames"][0]["psnr_db"]["network"].get<double>(), 15.0);
+  EXPECT_GT(json["frames"][0]["psnr_db"]["result"].get<double>(), 15.0);
   EXPECT_GE(json["dispatches"].size(), 5u);
   EXPECT_TRUE(fs::exists(file("panels.png")));
 

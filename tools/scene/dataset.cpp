@@ -91,8 +91,10 @@ Result<FrameCamera> parse_frame_camera(const Fields& frame, const Fields& root,
   SHALE_TRY(const double near, frame.number("CameraNearPlane", 1e-9, kHuge));
   SHALE_TRY(const double far, frame.number("CameraFarPlane", -1, kHuge));
   if (far > 0 && far <= near)
-    return bad_input(frame.where(), "\"CameraFarPlane\" is {}, expected more than the near plane, "
-                     "{}, or -1", far, near);
+    return bad_input(frame.where(),
+                     "\"CameraFarPlane\" is {}, expected more than the near plane, "
+                     "{}, or -1",
+                     far, near);
   camera.fov_x = static_cast<float>(fov_x);
   camera.fov_y = static_cast<float>(fov_y);
   camera.near_plane = static_cast<float>(near);
@@ -102,8 +104,7 @@ Result<FrameCamera> parse_frame_camera(const Fields& frame, const Fields& root,
   camera.exposure = static_cast<float>(exposure);
   SHALE_TRY(camera.cut, frame.flag("CameraCut", false));
   if (frame.has("ViewProjection")) {
-    SHALE_TRY(const std::vector<double> values,
-              frame.numbers("ViewProjection", 16, -kHuge, kHuge));
+    SHALE_TRY(const std::vector<double> values, frame.numbers("ViewProjection", 16, -kHuge, kHuge));
     std::transform(values.begin(), values.end(), camera.view_projection.begin(),
                    [](double v) { return static_cast<float>(v); });
   }
@@ -120,9 +121,9 @@ Result<DatasetWriter> DatasetWriter::create(const std::string& root, const Seque
   DatasetWriter writer(root, info);
   const std::string ratio = ratio_folder(info.render, info.output);
   const std::string name = number_text(info.number);
-  for (const std::string& folder : {std::string("ground_truth"), std::string("motion_gt"),
-                                    std::string("depth_gt"), ratio + "/color", ratio + "/depth",
-                                    ratio + "/motion"})
+  for (const std::string& folder :
+       {std::string("ground_truth"), std::string("motion_gt"), std::string("depth_gt"),
+        ratio + "/color", ratio + "/depth", ratio + "/motion"})
     SHALE_TRY_VOID(make_folder(fs::path(root) / folder / name));
   return writer;
 }
@@ -152,8 +153,7 @@ Result<void> DatasetWriter::finish() {
       {"Version", "1.0.1"},
       {"EmulatedFramerate", info_.frame_rate},
       {"TargetResolution", {{"X", info_.output.width}, {"Y", info_.output.height}}},
-      {"Samples",
-       {{"Sequence", "Halton"}, {"Count", info_.jitter_phases}, {"Quantized", true}}},
+      {"Samples", {{"Sequence", "Halton"}, {"Count", info_.jitter_phases}, {"Quantized", true}}},
       {"ReverseZ", !cameras_.empty() && cameras_[0].reverse_depth},
       {"UpscalingRatiosIndices", {{ratio_key(ratio), 0}}},
       {"Frames", OrderedJson::array()}};

@@ -17,6 +17,8 @@
 namespace shale {
 namespace {
 
+constexpr int kMaxSide = 65536;
+
 /// A file that grows in memory, so that writing it to disk is ours.
 class MemoryOut : public Imf::OStream {
  public:
@@ -81,12 +83,14 @@ float clamped_half(float value) {
 
 Result<FloatImage> read_from(const std::string& path, const std::vector<uint8_t>& bytes,
                              uint32_t channels, std::optional<Extent> size) {
+  // Or a few bytes could ask the library for tables of many gigabytes.
+  Imf::Header::setMaxImageSize(kMaxSide, kMaxSide);
   MemoryIn stream(bytes);
   Imf::InputFile file(stream, 0);
   const Imath::Box2i window = file.header().dataWindow();
   const int64_t width = int64_t{window.max.x} - window.min.x + 1;
   const int64_t height = int64_t{window.max.y} - window.min.y + 1;
-  if (width < 1 || height < 1 || width > 65536 || height > 65536 ||
+  if (width < 1 || height < 1 || width > kMaxSide || height > kMaxSide ||
       static_cast<uint64_t>(width * height) > kMaxExrPixels)
     return bad_input(path, "has {}x{} pixels, expected 1 to {}", width, height, kMaxExrPixels);
   if (size && (width != size->width || height != size->height))
@@ -137,9 +141,9 @@ std::vector<uint8_t> encoded(const FloatImage& image, ExrPrecision precision) {
   for (const char* names : channel_names(image.channels)) {
     const std::string name(names, 1);
     header.channels().insert(name, Imf::Channel(type));
-    buffer.insert(name, Imf::Slice::Make(type, base + bytes * c++, header.dataWindow(),
-                                         bytes * image.channels,
-                                         bytes * image.channels * image.width));
+    buffer.insert(name,
+                  Imf::Slice::Make(type, base + bytes * c++, header.dataWindow(),
+                                   bytes * image.channels, bytes * image.channels * image.width));
   }
   MemoryOut stream;
   {

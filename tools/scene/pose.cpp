@@ -59,9 +59,9 @@ Affine moved(const SceneNode& node, double frame) {
   if (node.rotate.x != 0) result = result * rotation({1, 0, 0}, node.rotate.x);
   if (node.rotate.z != 0) result = result * rotation({0, 0, 1}, node.rotate.z);
   if (a.swing_degrees != 0)
-    result = result *
-             rotation(a.swing_axis, a.swing_degrees * std::sin(kTwoPi * (frame / a.swing_period +
-                                                                         a.swing_phase)));
+    result = result * rotation(a.swing_axis,
+                               a.swing_degrees *
+                                   std::sin(kTwoPi * (frame / a.swing_period + a.swing_phase)));
   if (a.spin_degrees != 0)
     result = result * rotation(a.spin_axis, std::fmod(a.spin_degrees * frame, 360.0));
   result = result * node.aim;
@@ -79,9 +79,9 @@ CameraPose camera_pose(const SceneCamera& camera, double frame) {
   pose.eye = track(keys, frame, camera.smooth, [](const CameraKey& key) { return key.eye; });
   const Vec3 target =
       track(keys, frame, camera.smooth, [](const CameraKey& key) { return key.target; });
-  const double roll =
-      track(keys, frame, camera.smooth, [](const CameraKey& key) { return Vec3{key.roll, 0, 0}; })
-          .x;
+  const double roll = track(keys, frame, camera.smooth, [](const CameraKey& key) {
+                        return Vec3{key.roll, 0, 0};
+                      }).x;
   pose.forward = normalized(target - pose.eye, {0, 0, -1});
   const Vec3 helper = std::abs(pose.forward.y) < 0.9999 ? Vec3{0, 1, 0} : Vec3{0, 0, -1};
   pose.right = normalized(cross(pose.forward, helper), {1, 0, 0});
@@ -126,8 +126,9 @@ std::vector<Particle> particles_at(const Scene& scene, const std::vector<Affine>
       const uint32_t seed = scene_hash(own, static_cast<uint32_t>(static_cast<int64_t>(life)));
       const auto random = [&](uint32_t k) { return scene_hash(seed, k) * 0x1p-32 - 0.5; };
       const Vec3 birth{e.area.x * random(1), e.area.y * random(2), e.area.z * random(3)};
-      const Vec3 velocity = e.velocity + Vec3{e.spread.x * 2 * random(4), e.spread.y * 2 * random(5),
-                                              e.spread.z * 2 * random(6)};
+      const Vec3 velocity =
+          e.velocity +
+          Vec3{e.spread.x * 2 * random(4), e.spread.y * 2 * random(5), e.spread.z * 2 * random(6)};
       Particle p;
       p.at = pose.point(birth + velocity * age + e.gravity * (0.5 * age * age));
       p.radius = e.size_start + (e.size_end - e.size_start) * part;

@@ -13,8 +13,8 @@
 namespace shale {
 namespace {
 
-constexpr uint32_t kGroup = 8;          ///< pixels along a side of a workgroup
-constexpr uint32_t kPixelFloats = 6;    ///< of a pixel in the output buffer
+constexpr uint32_t kGroup = 8;               ///< pixels along a side of a workgroup
+constexpr uint32_t kPixelFloats = 6;         ///< of a pixel in the output buffer
 constexpr uint64_t kBandSamples = 1u << 20;  ///< a submission takes a fraction of a second on a CPU
 
 struct Push {
@@ -37,10 +37,9 @@ class TexelBuffer {
     if (bytes > buffer_.size_bytes()) {
       const uint64_t limit = uint64_t{context.limits.maxTexelBufferElements} * texel_bytes_;
       view_ = {};
-      SHALE_TRY(buffer_,
-                vk::Buffer::create(context, std::min(bytes + bytes / 2, limit),
-                                   VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT,
-                                   vk::MemoryKind::kUpload));
+      SHALE_TRY(buffer_, vk::Buffer::create(context, std::min(bytes + bytes / 2, limit),
+                                            VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT,
+                                            vk::MemoryKind::kUpload));
       auto info = vk::init<VkBufferViewCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_VIEW_CREATE_INFO);
       info.buffer = buffer_.get();
       info.format = format_;
@@ -69,9 +68,9 @@ class SceneRenderer::Impl {
   Result<void> make(const Scene& scene, VkPipelineCache cache) {
     SHALE_TRY_VOID(make_layout());
     SHALE_TRY_VOID(make_pipeline(scene, cache));
-    SHALE_TRY(block_, vk::Buffer::create(context_, sizeof(FrameBlock),
-                                         VK_BUFFER_USAGE_UNIFORM_BUFFER_BIT,
-                                         vk::MemoryKind::kUpload));
+    SHALE_TRY(block_,
+              vk::Buffer::create(context_, sizeof(FrameBlock), VK_BUFFER_USAGE_UNIFORM_BUFFER_BIT,
+                                 vk::MemoryKind::kUpload));
     return {};
   }
 
@@ -84,8 +83,9 @@ class SceneRenderer::Impl {
   Result<RenderedImages> render(const SampleGrid& grid, const std::function<bool()>& keep_going) {
     const uint32_t width = grid.extent.width, height = grid.extent.height;
     const uint64_t row_samples = uint64_t{width} * grid.samples * grid.samples;
-    const uint32_t band = static_cast<uint32_t>(std::clamp<uint64_t>(
-        kBandSamples / row_samples / kGroup * kGroup, kGroup, (height + kGroup - 1) / kGroup * kGroup));
+    const uint32_t band = static_cast<uint32_t>(
+        std::clamp<uint64_t>(kBandSamples / row_samples / kGroup * kGroup, kGroup,
+                             (height + kGroup - 1) / kGroup * kGroup));
     const uint64_t band_bytes = uint64_t{width} * band * kPixelFloats * sizeof(float);
     if (band_bytes > context_.limits.maxStorageBufferRange)
       return device_error(context_.caps.name, "cannot bind {} bytes of rows", band_bytes);
@@ -163,14 +163,14 @@ class SceneRenderer::Impl {
                                                          context_.device, set_info));
     const VkDescriptorSetLayout set_layout = set_layout_.get();
     const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(Push)};
-    auto info =
-        vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
+    auto info = vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
     info.setLayoutCount = 1;
     info.pSetLayouts = &set_layout;
     info.pushConstantRangeCount = 1;
     info.pPushConstantRanges = &range;
-    SHALE_TRY(layout_, vk::make<vk::PipelineLayoutHandle>(
-                           vkCreatePipelineLayout, "vkCreatePipelineLayout", context_.device, info));
+    SHALE_TRY(layout_,
+              vk::make<vk::PipelineLayoutHandle>(vkCreatePipelineLayout, "vkCreatePipelineLayout",
+                                                 context_.device, info));
     auto pool_info =
         vk::init<VkDescriptorPoolCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO);
     pool_info.maxSets = 1;
@@ -195,8 +195,8 @@ class SceneRenderer::Impl {
       patterns |= 1u << static_cast<uint32_t>(m.pattern);
       cutouts |= 1u << static_cast<uint32_t>(m.cutout);
     }
-    const bool round_cutouts = std::any_of(
-        scene.primitives.begin(), scene.primitives.end(), [&](const Primitive& p) {
+    const bool round_cutouts =
+        std::any_of(scene.primitives.begin(), scene.primitives.end(), [&](const Primitive& p) {
           return scene.materials[p.material].cutout != CutoutKind::kNone &&
                  (p.shape == PrimitiveShape::kSphere || p.shape == PrimitiveShape::kCylinder);
         });
@@ -222,7 +222,8 @@ class SceneRenderer::Impl {
     SHALE_TRY(const vk::ShaderModuleHandle module,
               vk::make<vk::ShaderModuleHandle>(vkCreateShaderModule, "vkCreateShaderModule",
                                                context_.device, module_info));
-    auto info = vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
+    auto info =
+        vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
     info.stage = vk::init<VkPipelineShaderStageCreateInfo>(
         VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO);
     info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
@@ -231,9 +232,9 @@ class SceneRenderer::Impl {
     info.stage.pSpecializationInfo = &specialization;
     info.layout = layout_.get();
     VkPipeline pipeline = VK_NULL_HANDLE;
-    SHALE_TRY_VOID(vk::check(
-        vkCreateComputePipelines(context_.device, cache, 1, &info, nullptr, &pipeline),
-        "vkCreateComputePipelines"));
+    SHALE_TRY_VOID(
+        vk::check(vkCreateComputePipelines(context_.device, cache, 1, &info, nullptr, &pipeline),
+                  "vkCreateComputePipelines"));
     pipeline_ = vk::PipelineHandle(context_.device, pipeline);
     return {};
   }

@@ -11,11 +11,11 @@ namespace shale {
 
 /// A regular grid of pixels over a window, and where in each of them samples are taken.
 struct SampleGrid {
-  Extent extent;                    ///< pixels in the window
+  Extent extent;                        ///< pixels in the window
   uint32_t origin_x = 0, origin_y = 0;  ///< first pixel of the window in the whole picture's grid
-  double scale_x = 1, scale_y = 1;  ///< output pixels per pixel
-  std::array<float, 2> jitter{};    ///< in pixels of this grid
-  uint32_t samples = 1;             ///< along each side of a pixel
+  double scale_x = 1, scale_y = 1;      ///< output pixels per pixel
+  std::array<float, 2> jitter{};        ///< in pixels of this grid
+  uint32_t samples = 1;                 ///< along each side of a pixel
 };
 
 struct RenderedImages {

@@ -78,8 +78,7 @@ Result<Sun> parse_sun(const Fields& fields) {
   std::vector<double> frames;
   const auto add = [&](const Fields& key, double frame) -> Result<void> {
     SHALE_TRY(const Vec3 direction, key.vec3("direction", -kFar, kFar));
-    if (length(direction) < 1e-6)
-      return bad_input(key.where(), "\"direction\" has no length");
+    if (length(direction) < 1e-6) return bad_input(key.where(), "\"direction\" has no length");
     sun.path.push_back({frame, normalized(direction, {0, 1, 0})});
     frames.push_back(frame);
     return {};
@@ -97,8 +96,7 @@ Result<Sun> parse_sun(const Fields& fields) {
 }
 
 Result<Sky> parse_sky(const Fields& fields) {
-  SHALE_TRY_VOID(
-      fields.only({"zenith", "horizon", "ground", "clouds", "stars", "fog", "ambient"}));
+  SHALE_TRY_VOID(fields.only({"zenith", "horizon", "ground", "clouds", "stars", "fog", "ambient"}));
   Sky sky;
   SHALE_TRY(sky.zenith, fields.vec3("zenith", 0, kBright, sky.zenith));
   SHALE_TRY(sky.horizon, fields.vec3("horizon", 0, kBright, sky.horizon));
@@ -138,9 +136,9 @@ Result<Material> parse_material(const std::string& name, const Fields& fields) {
   SHALE_TRY(m.instance_variation, fields.number("instance_variation", 0, 1, 0.0));
   SHALE_TRY(m.specular, fields.number("specular", 0, kBright, 0.0));
   SHALE_TRY(m.shininess, fields.number("shininess", 1, 1000, m.shininess));
-  SHALE_TRY(const uint32_t cutout,
-            fields.choice("cutout",
-                          {"none", "leaves", "grass", "mesh", "pickets", "disc", "glyphs"}, 0));
+  SHALE_TRY(
+      const uint32_t cutout,
+      fields.choice("cutout", {"none", "leaves", "grass", "mesh", "pickets", "disc", "glyphs"}, 0));
   m.cutout = static_cast<CutoutKind>(cutout);
   SHALE_TRY(m.cutout_cell, fields.number("cutout_cell", 1e-4, kFar, m.cutout_cell));
   SHALE_TRY(m.cutout_amount, fields.number("cutout_amount", 0, 1, m.cutout_amount));
@@ -226,9 +224,9 @@ class Parser {
   }
 
   Result<void> parse_emitter(const Fields& fields, uint32_t index) {
-    SHALE_TRY_VOID(fields.only({"at", "animate", "count", "area", "velocity", "spread", "gravity",
-                                "life", "size", "color", "color_end", "emission", "opacity",
-                                "blend", "edge"}));
+    SHALE_TRY_VOID(
+        fields.only({"at", "animate", "count", "area", "velocity", "spread", "gravity", "life",
+                     "size", "color", "color_end", "emission", "opacity", "blend", "edge"}));
     Emitter e;
     e.seed = scene_hash(scene_.seed, 0x70000000u + index);
     SHALE_TRY(e.node, add_node(fields, 0, e.seed, false));
@@ -271,8 +269,8 @@ class Parser {
   }
 
   Result<void> parse_overlay(const Fields& fields) {
-    SHALE_TRY_VOID(fields.only({"rect", "rows", "color", "background", "opacity", "scroll",
-                                "first", "last"}));
+    SHALE_TRY_VOID(
+        fields.only({"rect", "rows", "color", "background", "opacity", "scroll", "first", "last"}));
     Overlay overlay;
     SHALE_TRY(const std::vector<double> rect, fields.numbers("rect", 4, 0, 1));
     overlay.x = rect[0];
@@ -334,8 +332,7 @@ class Parser {
     std::vector<uint32_t> all;
     for (const nlohmann::json& name : names) {
       if (!name.is_string())
-        return bad_input(fields.where(), "\"material\" lists {}, expected texts",
-                         name.type_name());
+        return bad_input(fields.where(), "\"material\" lists {}, expected texts", name.type_name());
       SHALE_TRY(const uint32_t known, index(name.get<std::string>()));
       all.push_back(known);
     }
@@ -499,8 +496,7 @@ class Parser {
     return {};
   }
 
-  Result<void> parse_object(const Fields& fields, int parent, uint32_t seed, bool vary,
-                            int depth) {
+  Result<void> parse_object(const Fields& fields, int parent, uint32_t seed, bool vary, int depth) {
     if (!fields.json().is_object())
       return bad_input(fields.where(), "found {}, expected an object", fields.json().type_name());
     if (depth > kMaxDepth)

@@ -49,9 +49,9 @@ struct Sun {
 
 struct Sky {
   Vec3 zenith{0.2, 0.4, 0.8}, horizon{0.7, 0.8, 0.9}, ground{0.2, 0.2, 0.2};
-  double clouds = 0;        ///< 0 to 1
-  double stars = 0;         ///< brightness
-  double fog = 0;           ///< density per metre, towards the horizon's colour
+  double clouds = 0;             ///< 0 to 1
+  double stars = 0;              ///< brightness
+  double fog = 0;                ///< density per metre, towards the horizon's colour
   Vec3 ambient{0.4, 0.45, 0.5};  ///< light from above; half of it from below
 };
 
@@ -63,7 +63,17 @@ struct PointLight {
 
 /// The numbers are those of the shader.
 enum class Pattern : uint32_t {
-  kSolid, kChecker, kStripes, kLines, kBricks, kDots, kNoise, kGlyphs, kWindows, kCells, kSmooth
+  kSolid,
+  kChecker,
+  kStripes,
+  kLines,
+  kBricks,
+  kDots,
+  kNoise,
+  kGlyphs,
+  kWindows,
+  kCells,
+  kSmooth
 };
 enum class CutoutKind : uint32_t { kNone, kLeaves, kGrass, kMesh, kPickets, kDisc, kGlyphs };
 enum class PrimitiveShape : uint32_t { kSphere, kCylinder, kBox, kQuad };
@@ -74,8 +84,8 @@ struct Material {
   Vec3 color_a{0.8, 0.8, 0.8}, color_b{0.3, 0.3, 0.3};
   double emission_a = 0, emission_b = 0;
   double cell_x = 1, cell_y = 1;  ///< metres
-  double width = 0.1;             ///< of lines, as a part of the cell; threshold of noise and windows
-  double variation = 0;           ///< of brightness from cell to cell
+  double width = 0.1;    ///< of lines, as a part of the cell; threshold of noise and windows
+  double variation = 0;  ///< of brightness from cell to cell
   double grain = 0, grain_size = 0.1;  ///< fine noise: strength, metres
   double instance_variation = 0;       ///< of colour from object to object
   double specular = 0, shininess = 32;
@@ -122,11 +132,11 @@ struct Primitive {
 struct Emitter {
   int node = 0;
   uint32_t count = 0;
-  Vec3 area;       ///< births lie in this box
-  Vec3 velocity;   ///< metres per frame
-  Vec3 spread;     ///< random part of the velocity
-  Vec3 gravity;    ///< metres per frame^2
-  double life = 60;  ///< frames
+  Vec3 area;                                ///< births lie in this box
+  Vec3 velocity;                            ///< metres per frame
+  Vec3 spread;                              ///< random part of the velocity
+  Vec3 gravity;                             ///< metres per frame^2
+  double life = 60;                         ///< frames
   double size_start = 0.1, size_end = 0.1;  ///< radius, metres
   Vec3 color_start{1, 1, 1}, color_end{1, 1, 1};
   double emission = 1;

@@ -28,8 +28,10 @@ Result<std::pair<uint32_t, uint32_t>> render_pixels(const char* side, uint32_t f
                      uint64_t{first} + count, output);
   const uint32_t step = output / std::gcd(render, output);
   if (first % step != 0 || count % step != 0)
-    return bad_input("crop", "{} {} with {} pixels does not fall on render pixels, expected "
-                     "multiples of {}", side, first, count, step);
+    return bad_input("crop",
+                     "{} {} with {} pixels does not fall on render pixels, expected "
+                     "multiples of {}",
+                     side, first, count, step);
   const auto at = [&](uint32_t pixels) {
     return static_cast<uint32_t>(uint64_t{pixels} * render / output);
   };
@@ -39,7 +41,8 @@ Result<std::pair<uint32_t, uint32_t>> render_pixels(const char* side, uint32_t f
 }  // namespace
 
 uint32_t jitter_phases(Extent render, Extent output) {
-  const uint64_t phases = 8ull * output.width * output.width / (uint64_t{render.width} * render.width);
+  const uint64_t phases =
+      8ull * output.width * output.width / (uint64_t{render.width} * render.width);
   return static_cast<uint32_t>(std::max<uint64_t>(phases, 1));
 }
 

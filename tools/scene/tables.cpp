@@ -113,8 +113,8 @@ class Tables {
     add_materials();
     add_particles();
     if (tables_.texels.size() > max_texels)
-      return unsupported(scene_.name, "needs {} texels, the device binds {}",
-                         tables_.texels.size(), max_texels);
+      return unsupported(scene_.name, "needs {} texels, the device binds {}", tables_.texels.size(),
+                         max_texels);
     see_primitives();
     for (int32_t log2 = kSmallestTileLog2; log2 <= kLargestTileLog2; ++log2) {
       // Coarser cells for the shadows as well: both lists share the buffer.
@@ -138,9 +138,7 @@ class Tables {
     return {(v.x / (v.z * projection_.tan_x) * 0.5 + 0.5) * window_.full.width,
             (0.5 - v.y / (v.z * projection_.tan_y) * 0.5) * window_.full.height};
   }
-  double farthest() const {
-    return scene_.camera.far_plane > 0 ? scene_.camera.far_plane : 1e30;
-  }
+  double farthest() const { return scene_.camera.far_plane > 0 ? scene_.camera.far_plane : 1e30; }
 
   void pose_primitives() {
     for (const Primitive& primitive : scene_.primitives) {
@@ -205,8 +203,7 @@ class Tables {
       at[2] = float4(o.background, o.opacity);
       at[3] = {static_cast<float>(o.scroll * poses_.frame),
                static_cast<float>(o.width * w / (o.height * h)),
-               number(scene_hash(scene_.seed, 0x60000000u + static_cast<uint32_t>(i)) >> 8),
-               0};
+               number(scene_hash(scene_.seed, 0x60000000u + static_cast<uint32_t>(i)) >> 8), 0};
     }
     b.bases = {0, 0, overlays, same_view() ? 1 : 0};
   }
@@ -261,9 +258,9 @@ class Tables {
       tables_.texels.push_back({static_cast<float>(1 / m.cell_x), static_cast<float>(1 / m.cell_y),
                                 static_cast<float>(m.width),
                                 number(static_cast<uint32_t>(m.pattern))});
-      tables_.texels.push_back(
-          {static_cast<float>(m.variation), static_cast<float>(m.grain),
-           static_cast<float>(1 / m.grain_size), static_cast<float>(m.specular)});
+      tables_.texels.push_back({static_cast<float>(m.variation), static_cast<float>(m.grain),
+                                static_cast<float>(1 / m.grain_size),
+                                static_cast<float>(m.specular)});
       tables_.texels.push_back({static_cast<float>(m.shininess), 0, 0, 0});
     }
   }
@@ -351,8 +348,9 @@ class Tables {
       const double r = (p.radius + kPixelMargin) / side;
       const std::array<Point2, 4> box{
           {{x - r, y - r}, {x + r, y - r}, {x - r, y + r}, {x + r, y + r}}};
-      cover_cells(box, 0, columns, rows,
-                  [&](int32_t cx, int32_t cy) { particles.add(cx, cy, {p.index, 0}); });
+      cover_cells(box, 0, columns, rows, [&](int32_t cx, int32_t cy) {
+        particles.add(cx, cy, {p.index, 0});
+      });
     }
     std::vector<Uint2>& out = tables_.lists;
     const size_t base = out.size();
@@ -403,8 +401,7 @@ class Tables {
     // Enough cells that lists stay short, without more cells than the lists are worth.
     const double wanted =
         std::clamp(8.0 * static_cast<double>(casters.size()), 256.0, 16384.0) / (coarser * coarser);
-    const double cell =
-        std::max(std::sqrt(width * height / wanted), std::max(width, height) / 512);
+    const double cell = std::max(std::sqrt(width * height / wanted), std::max(width, height) / 512);
     const auto columns = static_cast<int32_t>(std::ceil(width / cell));
     const auto rows = static_cast<int32_t>(std::ceil(height / cell));
     CellLists cells(columns, rows, most_entries_), cutouts(columns, rows, most_entries_);

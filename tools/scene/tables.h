@@ -17,8 +17,8 @@ namespace shale {
 
 /// A part of a picture that is rendered, in output pixels.
 struct Window {
-  Extent full;              ///< of the whole picture
-  uint32_t x = 0, y = 0;    ///< left top corner of the part
+  Extent full;            ///< of the whole picture
+  uint32_t x = 0, y = 0;  ///< left top corner of the part
   Extent size;
   bool operator==(const Window&) const = default;
 };
@@ -29,8 +29,8 @@ using Uint2 = std::array<uint32_t, 2>;
 
 /// The uniform block of shaders/scene/trace.comp, std140. Positions are relative to the eye.
 struct FrameBlock {
-  Float4 corner;      ///< direction at the left top corner of the whole picture, view z is 1
-  Float4 step_x;      ///< change of direction per output pixel
+  Float4 corner;  ///< direction at the left top corner of the whole picture, view z is 1
+  Float4 step_x;  ///< change of direction per output pixel
   Float4 step_y;
   Float4 depth;       ///< nearest and farthest view z, a and b of depth = a + b / z
   Float4 size;        ///< whole picture in output pixels, and 1 / those
@@ -44,11 +44,13 @@ struct FrameBlock {
   Float4 ambient;     ///< w: exposure
   Float4 grid_u;      ///< position to column of the shadow grid; offset in w
   Float4 grid_v;
-  Float4 lights[2 * kMaxLights];      ///< position, 1 / range^2; colour
-  Float4 overlays[4 * kMaxOverlays];  ///< rectangle in uv; colour, rows; background, opacity; scroll, aspect, seed
-  Int4 grid;          ///< columns, rows, first texel of the table
-  Int4 tiles;         ///< columns, rows, first texel of the table, log2 of the side in output pixels
-  Int4 bases;         ///< first texel of materials and particles; overlays; still sky
+  Float4 lights[2 * kMaxLights];  ///< position, 1 / range^2; colour
+  Float4 overlays
+      [4 *
+       kMaxOverlays];  ///< rectangle in uv; colour, rows; background, opacity; scroll, aspect, seed
+  Int4 grid;           ///< columns, rows, first texel of the table
+  Int4 tiles;  ///< columns, rows, first texel of the table, log2 of the side in output pixels
+  Int4 bases;  ///< first texel of materials and particles; overlays; still sky
 };
 
 struct FrameTables {

@@ -139,6 +139,7 @@ Result<EvalScene> evaluate(const Arguments& arguments, FrameSource& source,
       scene.shown.push_back(show_frame(i, track.reference().picture(), pictures, maps));
   }
   for (size_t m = 0; m < methods.size(); ++m) scene.methods[m].means = evaluators[m].finish();
+  scene.notes.push_back("IF-SSIM masks by depth as it is stored, which is hyperbolic.");
   return scene;
 }
 

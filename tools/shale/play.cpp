@@ -15,6 +15,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
+
 struct Arguments {
   std::string model, input, output, compare, reference, animation, debug_view, dump;
   std::vector<uint32_t> crop;
@@ -264,6 +266,10 @@ Result<int> play(const Arguments& arguments) {
       if (!arguments.debug_view.empty()) {
         SHALE_TRY(std::vector<Panel> panels, player->views());
         panels.push_back({"result", result});
+        for (Panel& panel : panels)
+          panel.picture = upscale_nearest(
+              panel.picture, kMosaicWidth,
+              std::max(1u, kMosaicWidth * panel.picture.height / panel.picture.width));
         SHALE_TRY_VOID(save_png((fs::path(arguments.debug_view) / (stem + ".png")).string(),
                                 side_by_side(panels, 4)));
       }
@@ -338,10 +344,9 @@ Action add_play(CLI::App& app) {
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
-      "Examples:\n"
-      "  shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames 8 "
+      "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames 8 "
       "--profile\n"
-      "  shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
+      "Example: shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
       "panels.png");
   return [arguments] { return play(*arguments); };
 }

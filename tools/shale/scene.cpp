@@ -143,8 +143,7 @@ Result<int> run(const Arguments& arguments) {
           render_s +=
               std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
           SHALE_TRY_VOID(writer.add(*frame));
-          if (arguments.png)
-            SHALE_TRY_VOID(save_previews(arguments.output, number, i, *frame));
+          if (arguments.png) SHALE_TRY_VOID(save_previews(arguments.output, number, i, *frame));
           if (!progress.step(++total_frames, 0)) return bad_input("", "interrupted");
         }
         SHALE_TRY_VOID(writer.finish());
@@ -175,8 +174,7 @@ Result<int> run(const Arguments& arguments) {
                entry["render"][0].get<uint32_t>(), entry["render"][1].get<uint32_t>(),
                entry["output"][0].get<uint32_t>(), entry["output"][1].get<uint32_t>(),
                entry["ms_per_frame"].get<double>());
-  fmt::print("{} frames in {:.1f} s of rendering -> {}\n", total_frames, total_s,
-             arguments.output);
+  fmt::print("{} frames in {:.1f} s of rendering -> {}\n", total_frames, total_s, arguments.output);
   return kDone;
 }
 

@@ -1,0 +1,383 @@
+// What every temporal sandwich must keep, whatever its network says: stand-in networks take the
+// place of the trained ones, so that any size is cheap. Their results are random tables of the
+// input's channels: any code in [-127, 127] occurs, and the picture changes them.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "ir/text/text.h"
+#include "tests/support/vulkan_fixture.h"
+#include "ir/base/file.h"
+#include "tools/eval/tonemap.h"
+#include "tools/scene/scene_source.h"
+#include "tools/shale/player.h"
+
+namespace shale {
+namespace {
+
+constexpr uint64_t kSeed = 11;
+
+struct Output {
+  const char* name;
+  int divide;    ///< of the input's sides
+  int channels;  ///< a multiple of 4
+};
+
+struct Kind {
+  const char* model;
+  std::vector<Output> outputs;
+  double reach;  ///< output pixels, per axis, between a pixel's middle and a sample that it takes
+
+  friend void PrintTo(const Kind& kind, std::ostream* out) { *out << kind.model; }
+};
+
+// A kernel offset of 3 (HIGH) or 2 and a sample anywhere in that cell: half a pixel more.
+const Kind kKinds[] = {
+    {"nss_v1_high", {{"temporal", 1, 4}, {"kernel", 4, 36}}, 3.5},
+    {"nss_v1_low", {{"temporal", 1, 4}, {"kernel", 4, 16}}, 2.5},
+    {"nss_v0_1",
+     {{"k0", 1, 4}, {"k1", 1, 4}, {"k2", 1, 4}, {"k3", 1, 4}, {"temporal", 1, 4}, {"feedback", 1, 4}},
+     2.5},
+};
+
+/// Same outputs as the trained network, from 8x8 on.
+Graph stand_in(const Kind& kind, uint64_t seed) {
+  std::mt19937_64 random(seed);
+  std::string text = "graph main {\n  input %input : i8[1,8,8,12]\n  const %zp : i8[1] = [-128]\n";
+  std::string results;
+  for (const Output& output : kind.outputs) {
+    const int side = 8 / output.divide;
+    std::string table;
+    for (int i = 0; i < 256; ++i)
+      table += fmt::format("{}{}", i ? "," : "", static_cast<int>(random() % 255) - 127);
+    const auto shape = [&](int channels) {
+      return fmt::format("i8[1,{},{},{}]", side, side, channels);
+    };
+    const std::string n = output.name;
+    std::string from = "%input";
+    text += fmt::format("  const %{}.t : i8[256] = [{}]\n", n, table);
+    if (output.divide > 1) {
+      text += fmt::format("  %{}.p = max_pool2d %input {{kernel=[{},{}], stride=[{},{}], "
+                          "pad=[0,0,0,0]}} : {}\n",
+                          n, output.divide, output.divide, output.divide, output.divide, shape(12));
+      from = fmt::format("%{}.p", n);
+    }
+    // 12 channels, several times, then the first ones of them.
+    const int copies = (output.channels + 11) / 12;
+    std::string many = from;
+    for (int i = 1; i < copies; ++i) many += ", " + from;
+    text += fmt::format("  %{}.c = concat {} {{axis=3}} : {}\n", n, many, shape(12 * copies));
+    text += fmt::format("  const %{}.at : shape[4] = [0,0,0,0]\n", n);
+    text += fmt::format("  const %{}.size : shape[4] = [1,{},{},{}]\n", n, side, side, output.channels);
+    text += fmt::format("  %{}.s = table %{}.c, %{}.t : {}\n", n, n, n, shape(12 * copies));
+    text += fmt::format("  %{} = slice %{}.s, %{}.at, %{}.size : {}\n", n, n, n, n,
+                        shape(output.channels));
+    results += fmt::format("{}%{}", results.empty() ? "" : ", ", n);
+  }
+  return must(parse_text(text + "  return " + results + "\n}\n"));
+}
+
+/// One device for all tests, under validation where the layer is installed.
+class SandwichTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    Result<ToolDevice> device = ToolDevice::open({.name = "", .cache = "", .validation = true});
+    if (!device) device = ToolDevice::open({});
+    if (device) device_ = new ToolDevice(*std::move(device));
+  }
+  static void TearDownTestSuite() {
+    delete device_;
+    device_ = nullptr;
+  }
+  void SetUp() override {
+    if (!device_) GTEST_SKIP() << "no Vulkan device";
+  }
+  void TearDown() override {
+    if (!device_) return;
+    EXPECT_EQ(device_->take_validation_messages(), std::vector<std::string>{});
+  }
+
+  static std::unique_ptr<Player> player_of(const std::string& folder, std::optional<Graph> graph,
+                                           Extent render, Extent output) {
+    CompileOptions options;
+    options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
+    options.load_shader = [folder](const std::string& path) { return read_text(folder + "/" + path); };
+    options.sizes = {FrameExtent{render.width, render.height},
+                     FrameExtent{output.width, output.height}};
+    options.kernels = {"generic"};  // drivers take long for the fast ones, which pay at other sizes
+    const Compiled compiled =
+        must(compile_graph(graph ? *std::move(graph) : Graph{}, 0, options));
+    return must(Player::create(*device_, compiled.package));
+  }
+  static std::unique_ptr<Player> player_of(const Kind& kind, uint64_t seed, Extent render,
+                                           Extent output) {
+    return player_of(models() + kind.model, stand_in(kind, seed), render, output);
+  }
+  static std::string models() { return SHALE_SOURCE_DIR "/models/"; }
+
+  static ToolDevice* device_;
+};
+ToolDevice* SandwichTest::device_ = nullptr;
+
+using Color = std::array<float, 3>;
+
+/// A frame without motion whose samples see `color` at their scene position, in uv of the picture.
+SourceFrame frame_of(Extent render, Extent output, uint32_t index,
+                     const std::function<Color(double u, double v)>& color) {
+  SourceFrame frame;
+  frame.camera.fov_x = 1.2f;
+  frame.camera.fov_y = 0.8f;
+  frame.camera.far_plane = 100;
+  frame.camera.jitter = scene_jitter(index, render, output);
+  frame.color = {render.width, render.height, 3, {}};
+  frame.depth = {render.width, render.height, 1,
+                 std::vector<float>(size_t{render.width} * render.height, 0.5f)};
+  frame.motion = {render.width, render.height, 2,
+                  std::vector<float>(size_t{render.width} * render.height * 2, 0.0f)};
+  for (uint32_t y = 0; y < render.height; ++y)
+    for (uint32_t x = 0; x < render.width; ++x) {
+      const Color c = color((x + 0.5 + frame.camera.jitter[0]) / render.width,
+                            (y + 0.5 + frame.camera.jitter[1]) / render.height);
+      frame.color.values.insert(frame.color.values.end(), c.begin(), c.end());
+    }
+  return frame;
+}
+
+/// Noise in colour, depth and motion, which is up to 3 render pixels long.
+SourceFrame noise_frame(Extent render, Extent output, uint32_t index, uint64_t seed) {
+  std::mt19937_64 random(seed + index);
+  std::uniform_real_distribution<float> unit(0, 1);
+  SourceFrame frame = frame_of(render, output, index, [&](double, double) {
+    return Color{2 * unit(random), 2 * unit(random), 2 * unit(random)};
+  });
+  for (float& d : frame.depth.values) d = 0.9f + 0.1f * unit(random);
+  for (size_t i = 0; i < frame.motion.values.size(); ++i)
+    frame.motion.values[i] = (6 * unit(random) - 3) /
+                             static_cast<float>(i % 2 == 0 ? render.width : render.height);
+  return frame;
+}
+
+bool all_finite(const FloatImage& image) {
+  return std::all_of(image.values.begin(), image.values.end(),
+                     [](float v) { return std::isfinite(v) && v >= 0; });
+}
+
+TEST_F(SandwichTest, ConstantColourStaysWhateverTheNetworkSays) {
+  // Every result is a weighted mean of equal colours. What is lost is the rounding of the stored
+  // half floats, 2^-10 at most, once a frame.
+  const Extent render{24, 20}, output{48, 40};
+  const Color color{0.3f, 1.5f, 7.0f};
+  for (const Kind& kind : kKinds) {
+    for (uint64_t seed = 1; seed <= 2; ++seed) {
+      const auto player = player_of(kind, seed, render, output);
+      for (uint32_t t = 0; t < 6; ++t) {
+        const FloatImage shown =
+            must(player->play(frame_of(render, output, t, [&](double, double) { return color; })));
+        double worst = 0;
+        for (size_t i = 0; i < shown.values.size(); ++i)
+          worst = std::max(worst, std::abs(shown.values[i] / color[i % 3] - 1.0));
+        EXPECT_LE(worst, (t + 1) * std::exp2(-10)) << kind.model << " seed " << seed << " frame " << t;
+      }
+    }
+  }
+}
+
+TEST_F(SandwichTest, ResetForgetsThePast) {
+  const Extent render{24, 20}, output{48, 40};
+  std::vector<std::pair<std::string, std::function<std::unique_ptr<Player>()>>> makers;
+  for (const Kind& kind : kKinds)
+    makers.emplace_back(kind.model, [&, kind] { return player_of(kind, kSeed, render, output); });
+  makers.emplace_back("mob_fgsr", [&] {
+    return player_of(models() + "baselines/mob_fgsr", {}, render, output);
+  });
+  SourceFrame last = noise_frame(render, output, 9, 77);
+  last.camera.cut = true;
+  for (const auto& [name, make] : makers) {
+    const auto fresh = make();
+    const FloatImage expected = must(fresh->play(last));
+    const auto used = make();
+    for (uint32_t t = 0; t < 3; ++t) must(used->play(noise_frame(render, output, t, kSeed)));
+    EXPECT_EQ(must(used->play(last)).values, expected.values) << name;
+    // And the past counts where there is no cut.
+    SourceFrame next = last;
+    next.camera.cut = false;
+    must(used->play(noise_frame(render, output, 4, kSeed)));
+    EXPECT_NE(must(used->play(next)).values, expected.values) << name;
+  }
+}
+
+TEST_F(SandwichTest, AnyRatioAndSizeShowsASlopeWithoutLines) {
+  // The picture is a slope in the domain in which samples are averaged. A result is a mean of
+  // samples within `reach` output pixels; at a border, of a texel that stands for one as far
+  // outside. So it is off by the slope times that distance at most, on each axis, and by 2^-10 a
+  // frame for half floats. A line of missing or misplaced samples would be off by far more.
+  const std::pair<Extent, Extent> kSizes[] = {
+      {{60, 40}, {60, 40}},   {{60, 40}, {78, 52}},     {{60, 40}, {90, 60}},
+      {{60, 40}, {120, 80}},  {{60, 40}, {180, 120}},   {{61, 37}, {100, 71}},
+      {{31, 17}, {62, 51}},   {{853, 479}, {1706, 958}}, {{1, 1}, {3, 3}},
+      {{2, 3}, {3, 5}},       {{9, 8}, {16, 16}}};
+  constexpr double kLow = 0.2, kSlope = 0.3;
+  const auto mapped = [&](double u, double v) { return kLow + kSlope * (u + v); };
+  for (const auto& [render, output] : kSizes) {
+    for (const Kind& kind : kKinds) {
+      const auto player = player_of(kind, kSeed, render, output);
+      for (uint32_t t = 0; t < 3; ++t) {
+        const FloatImage shown = must(player->play(frame_of(render, output, t, [&](double u, double v) {
+          const float x = static_cast<float>(mapped(u, v) / (1 - mapped(u, v)));
+          return Color{x, x, x};
+        })));
+        ASSERT_TRUE(all_finite(shown));
+        const double off_x = kSlope / output.width * (2 * kind.reach + 2.0 * output.width / render.width);
+        const double off_y =
+            kSlope / output.height * (2 * kind.reach + 2.0 * output.height / render.height);
+        double worst = 0;
+        for (uint32_t y = 0; y < output.height; ++y)
+          for (uint32_t x = 0; x < output.width; ++x) {
+            const double value = *shown.at(x, y);
+            worst = std::max(worst, std::abs(value / (1 + value) - mapped((x + 0.5) / output.width,
+                                                                        (y + 0.5) / output.height)));
+          }
+        EXPECT_LE(worst, off_x + off_y + (t + 1) * std::exp2(-10))
+            << kind.model << " " << render.width << "x" << render.height << " to " << output.width
+            << "x" << output.height << " frame " << t;
+      }
+    }
+  }
+}
+
+FloatImage flipped(const FloatImage& image) {
+  FloatImage result = image;
+  for (uint32_t y = 0; y < image.height; ++y)
+    for (uint32_t x = 0; x < image.width; ++x)
+      std::copy_n(image.at(x, y), image.channels, result.at(image.width - 1 - x, y));
+  return result;
+}
+
+SourceFrame flipped(const SourceFrame& frame) {
+  SourceFrame result = frame;
+  result.color = flipped(frame.color);
+  result.depth = flipped(frame.depth);
+  result.motion = flipped(frame.motion);
+  for (size_t i = 0; i < result.motion.values.size(); i += 2) result.motion.values[i] *= -1;
+  result.camera.jitter[0] *= -1;
+  return result;
+}
+
+TEST_F(SandwichTest, SymmetricPassesFlipWithThePicture) {
+  // Float rounding of mirrored positions moves a result by some 2^-20 of the values around it, and
+  // then to another half float at most; a choice (a texel, the depth test) may fall the other way
+  // where a position lies that close to a border, which few pixels do.
+  const Extent render{32, 24}, output{64, 48};
+  for (const char* name : {"nearest", "bilinear", "catmull_rom", "lanczos", "mob_fgsr"}) {
+    const std::string folder = models() + "baselines/" + name;
+    const auto one = player_of(folder, {}, render, output);
+    const auto other = player_of(folder, {}, render, output);
+    for (uint32_t t = 0; t < 4; ++t) {
+      const SourceFrame frame = noise_frame(render, output, t, kSeed);
+      const FloatImage a = flipped(must(one->play(frame)));
+      const FloatImage b = must(other->play(flipped(frame)));
+      size_t wrong = 0;
+      for (size_t i = 0; i < a.values.size(); ++i)
+        if (std::abs(a.values[i] - b.values[i]) > std::exp2(-9) * std::abs(a.values[i]) + 1e-4)
+          ++wrong;
+      EXPECT_LE(wrong, a.values.size() / 500) << name << " frame " << t;
+    }
+  }
+  // NSS chooses among depths and kernels that are not centred; but it sees a mirrored frame's
+  // colours mirrored, to a code.
+  for (const Kind& kind : kKinds) {
+    const auto one = player_of(kind, kSeed, render, output);
+    const auto other = player_of(kind, kSeed, render, output);
+    const SourceFrame frame = noise_frame(render, output, 0, kSeed);
+    must(one->play(frame));
+    must(other->play(flipped(frame)));
+    const FloatImage a = flipped(must(one->read("input", false)));
+    const FloatImage b = must(other->read("input", false));
+    double worst = 0;
+    for (size_t i = 0; i < a.values.size(); ++i)
+      if (i % 12 >= 3 && i % 12 < 6)
+        worst = std::max(worst, std::abs(double{a.values[i]} - b.values[i]));
+    EXPECT_LE(worst, 1) << kind.model;
+  }
+}
+
+TEST_F(SandwichTest, StaysFiniteOnAnyInput) {
+  constexpr float kInf = std::numeric_limits<float>::infinity();
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  const Extent render{24, 20}, output{48, 40};
+  const float colors[] = {kNan, kInf, -kInf, -5, 65504, 1e-45f, 6e-8f, 0};
+  const float depths[] = {kNan, kInf, -kInf, 0, 1, 2, -1, 1e-40f};
+  const float motions[] = {kNan, kInf, -kInf, 5, -300, 1e-8f, 0.9999f, 0};
+  const auto spoil = [&](SourceFrame frame, uint64_t seed) {
+    std::mt19937_64 random(seed);
+    for (float& c : frame.color.values)
+      if (random() % 8 == 0) c = colors[random() % 8];
+    for (float& d : frame.depth.values)
+      if (random() % 8 == 0) d = depths[random() % 8];
+    for (float& m : frame.motion.values)
+      if (random() % 8 == 0) m = motions[random() % 8];
+    return frame;
+  };
+  for (const Kind& kind : kKinds) {
+    for (const bool reverse : {false, true}) {
+      for (const float far_plane : {0.0f, 100.0f}) {
+        const auto player = player_of(kind, kSeed, render, output);
+        for (uint32_t t = 0; t < 4; ++t) {
+          SourceFrame frame = spoil(noise_frame(render, output, t, kSeed), kSeed + t);
+          frame.camera.reverse_depth = reverse;
+          frame.camera.far_plane = far_plane;
+          EXPECT_TRUE(all_finite(must(player->play(frame)))) << kind.model << " frame " << t;
+        }
+      }
+    }
+  }
+  for (const char* name : {"nearest", "bilinear", "catmull_rom", "lanczos", "mob_fgsr"}) {
+    const auto player = player_of(models() + "baselines/" + name, {}, render, output);
+    for (uint32_t t = 0; t < 4; ++t)
+      EXPECT_TRUE(all_finite(must(player->play(spoil(noise_frame(render, output, t, kSeed), t)))))
+          << name;
+  }
+}
+
+TEST_F(SandwichTest, DamageStaysLocal) {
+  // One frame with a bad texel, then clean ones, against a run without it. The texel reaches 2
+  // texels through the depth window, a block of 4 through the kernel, 1 through bilinear reads, and
+  // the kernel's reach in the output: within 12 render texels. State and history are read
+  // bilinearly or with 4 taps where the picture stands still: 2 texels more in each frame.
+  const Extent render{96, 72}, output{192, 144};
+  const int kX = 48, kY = 36;
+  for (const Kind& kind : kKinds) {
+    const auto clean = player_of(kind, kSeed, render, output);
+    const auto damaged = player_of(kind, kSeed, render, output);
+    for (uint32_t t = 0; t < 6; ++t) {
+      SourceFrame frame = frame_of(render, output, t, [](double u, double v) {
+        const float x = static_cast<float>(1 + std::sin(40 * u) * std::cos(30 * v));
+        return Color{x, 0.5f * x, 0.1f};
+      });
+      const FloatImage expected = must(clean->play(frame));
+      if (t == 2) {
+        frame.color.at(kX, kY)[0] = std::numeric_limits<float>::quiet_NaN();
+        frame.color.at(kX, kY)[1] = std::numeric_limits<float>::infinity();
+        *frame.depth.at(kX, kY) = std::numeric_limits<float>::quiet_NaN();
+        frame.motion.at(kX, kY)[0] = std::numeric_limits<float>::quiet_NaN();
+      }
+      const FloatImage found = must(damaged->play(frame));
+      ASSERT_TRUE(all_finite(found));
+      const int reach = t < 2 ? -1 : 2 * (12 + 2 * static_cast<int>(t - 2));
+      for (uint32_t y = 0; y < output.height; ++y)
+        for (uint32_t x = 0; x < output.width; ++x) {
+          const int distance = std::max(std::abs(static_cast<int>(x) - 2 * kX),
+                                        std::abs(static_cast<int>(y) - 2 * kY));
+          if (distance <= reach) continue;
+          ASSERT_TRUE(std::equal(found.at(x, y), found.at(x, y) + 3, expected.at(x, y)))
+              << kind.model << " frame " << t << " at " << x << ", " << y;
+        }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace shale
