@@ -264,15 +264,16 @@ class VariantBuilder {
     Defines defines;
     std::string members;
     for (const Param& param : variant_.params) {
-      const std::string type = param.components == 1
-                                   ? (param.is_integer ? "int" : "float")
-                                   : fmt::format("{}vec{}", param.is_integer ? "i" : "",
-                                                 param.components);
+      const std::string type =
+          param.components == 1
+              ? (param.is_integer ? "int" : "float")
+              : fmt::format("{}vec{}", param.is_integer ? "i" : "", param.components);
       members += fmt::format(" layout(offset = {}) {} {};", param.offset_bytes, type, param.name);
     }
     if (!members.empty())
-      defines.emplace_back("SHALE_PARAMS", fmt::format(
-          "layout(push_constant, std430) uniform Params {{{} }} params", members));
+      defines.emplace_back(
+          "SHALE_PARAMS",
+          fmt::format("layout(push_constant, std430) uniform Params {{{} }} params", members));
     for (const Resource& resource : variant_.resources) {
       if (resource.category == Category::kWeights || resource.category == Category::kIntermediate)
         continue;
@@ -343,8 +344,8 @@ class VariantBuilder {
                                : !from.is_image                  ? BindingType::kStorageBuffer
                                : from.writes                     ? BindingType::kStorageImage
                                                                  : BindingType::kSampledImage;
-      dispatch.bindings.push_back({from.binding, type, index, from.texels, from.reads, from.writes,
-                                   from.frames_back});
+      dispatch.bindings.push_back(
+          {from.binding, type, index, from.texels, from.reads, from.writes, from.frames_back});
       const uint64_t bytes = is_image(resource.category)
                                  ? uint64_t{resource.width} * resource.height *
                                        image_format_info(resource.format).texel_bytes
@@ -435,9 +436,9 @@ Result<void> size_inputs(const Graph& graph, CompileOptions& options) {
   SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
   for (const FrameTensor& tensor : options.frame->tensors) {
     if (!tensor.size) continue;
-    const auto input =
-        std::find_if(graph.inputs.begin(), graph.inputs.end(),
-                     [&](ValueId id) { return graph.value(id).name == tensor.name; });
+    const auto input = std::find_if(graph.inputs.begin(), graph.inputs.end(), [&](ValueId id) {
+      return graph.value(id).name == tensor.name;
+    });
     if (input == graph.inputs.end() || graph.value(*input).type.shape.size() != 4)
       return bad_input("frame.tensors", "the network has no NHWC input \"{}\"", tensor.name);
     if (options.passes.input_shapes.contains(tensor.name))

@@ -117,7 +117,7 @@ Result<FrameSize> parse_size(const Fields& fields) {
 /// Offsets are given later.
 Result<Param> parse_param(const Fields& fields) {
   static const std::vector<std::pair<std::string, uint32_t>> kTypes{
-      {"float", 1}, {"vec2", 2}, {"vec3", 3}, {"vec4", 4},
+      {"float", 1}, {"vec2", 2},  {"vec3", 3},  {"vec4", 4},
       {"int", 1},   {"ivec2", 2}, {"ivec3", 3}, {"ivec4", 4}};
   Param param;
   SHALE_TRY(param.name, identifier(fields));
@@ -314,8 +314,7 @@ Result<std::pair<FrameExtent, FrameExtent>> frame_sizes(const Frame& frame,
   };
   if (!offered(output.width, render.width) || !offered(output.height, render.height))
     return bad_input("frame", "{}x{} to {}x{} is a ratio outside {} to {}", render.width,
-                     render.height, output.width, output.height, frame.min_ratio,
-                     frame.max_ratio);
+                     render.height, output.width, output.height, frame.min_ratio, frame.max_ratio);
   return std::pair{render, output};
 }
 

@@ -67,9 +67,9 @@ struct FrameView {
 };
 
 struct Frame {
-  FrameExtent render, output;              ///< where nobody asks for others
+  FrameExtent render, output;               ///< where nobody asks for others
   double min_ratio = 1.0, max_ratio = 1.0;  ///< of output to render size
-  std::vector<Param> params;               ///< with their offsets
+  std::vector<Param> params;                ///< with their offsets
   std::vector<FrameView> views;
   std::vector<FrameImage> images;
   std::vector<FrameTensor> tensors;

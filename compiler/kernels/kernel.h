@@ -35,7 +35,7 @@ struct GroupProblem {
   const Graph* graph = nullptr;
   Group group;
   std::optional<RangeProof> proof;  ///< for convolutions with constant weights and bias
-  Cost cost;                            ///< without time
+  Cost cost;                        ///< without time
 };
 
 struct KernelFamily {

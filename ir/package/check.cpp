@@ -213,14 +213,14 @@ Result<void> check_param(const std::string& where, const Param& param) {
   const uint32_t alignment = param.components == 1 ? 4 : param.components == 2 ? 8 : 16;
   if (param.offset_bytes % alignment != 0 ||
       param.offset_bytes > kMaxParamBytes - 4 * param.components)
-    return bad_input(where, "offset {} is no multiple of {}, or leaves the {} bytes", 
+    return bad_input(where, "offset {} is no multiple of {}, or leaves the {} bytes",
                      param.offset_bytes, alignment, kMaxParamBytes);
   if (param.default_values.size() != param.components)
     return bad_input(where, "{} default values, expected {}", param.default_values.size(),
                      param.components);
   for (const float value : param.default_values)
-    if (!std::isfinite(value) || (param.is_integer && (value != std::floor(value) ||
-                                                       std::abs(value) > 16777216.0f)))
+    if (!std::isfinite(value) ||
+        (param.is_integer && (value != std::floor(value) || std::abs(value) > 16777216.0f)))
       return bad_input(where, "the default value {} is no {}", value,
                        param.is_integer ? "exact integer" : "finite number");
   return {};
@@ -248,11 +248,10 @@ Result<void> check_view(const std::string& where, const View& view, const Varian
     return bad_input(where, "resource {} does not exist, there are {}", view.resource,
                      variant.resources.size());
   const Resource& resource = variant.resources[view.resource];
-  const bool shown = is_image(resource.category) ||
-                     ((resource.category == Category::kInput ||
-                       resource.category == Category::kOutput) &&
-                      resource.shape.size() == 4 && resource.shape[0] == 1 &&
-                      resource.dtype == DType::kInt8);
+  const bool shown =
+      is_image(resource.category) ||
+      ((resource.category == Category::kInput || resource.category == Category::kOutput) &&
+       resource.shape.size() == 4 && resource.shape[0] == 1 && resource.dtype == DType::kInt8);
   if (!shown) return bad_input(where, "\"{}\" cannot be viewed", resource.name);
   const uint64_t channels = is_image(resource.category)
                                 ? image_format_info(resource.format).channels

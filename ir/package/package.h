@@ -33,7 +33,7 @@ inline constexpr uint64_t kMaxPackageBytes = (uint64_t{1} << 31) - 8;
 inline constexpr uint64_t kMaxTensorBytes = uint64_t{1} << 40;
 inline constexpr uint32_t kMaxImageExtent = 16384;
 inline constexpr uint32_t kMaxHistoryDepth = 16;
-inline constexpr uint32_t kMaxBindings = 64;  ///< binding numbers of a dispatch are below this
+inline constexpr uint32_t kMaxBindings = 64;     ///< binding numbers of a dispatch are below this
 inline constexpr uint32_t kMaxParamBytes = 128;  ///< push constants that every Vulkan device has
 
 /// How a resource comes into being and who owns its memory.

@@ -10,9 +10,8 @@ Result<DataGraphPipeline> DataGraphPipeline::create(const vk::Context& device,
                                                     const Package& package,
                                                     const DataGraphPipelineOptions& options) {
   const auto has_graph = [](const Variant& variant) {
-    return std::any_of(variant.segments.begin(), variant.segments.end(), [](const Segment& s) {
-      return s.kind == SegmentKind::kGraph;
-    });
+    return std::any_of(variant.segments.begin(), variant.segments.end(),
+                       [](const Segment& s) { return s.kind == SegmentKind::kGraph; });
   };
   if (!std::all_of(package.variants.begin(), package.variants.end(), has_graph))
     return bad_input("", "the package has no network, only passes");

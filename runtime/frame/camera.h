@@ -7,8 +7,8 @@ namespace shale {
 
 /// A perspective camera whose depth buffer holds values in [0, 1].
 struct DepthProjection {
-  float near_plane = 0.1f;  ///< metres, above 0
-  float far_plane = 0;      ///< metres; infinite if 0 or less
+  float near_plane = 0.1f;     ///< metres, above 0
+  float far_plane = 0;         ///< metres; infinite if 0 or less
   float fov_x = 1, fov_y = 1;  ///< radians
   bool reverse = false;        ///< 1 is near, 0 is far
 };

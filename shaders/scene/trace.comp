@@ -205,51 +205,54 @@ bool is_cut_out(uint entry, vec3 p) {
   return !is_solid(entry >> 18 & 7u, uv, p.y, cut.y, uint(cut.z), p.xy);
 }
 
-/// Nearest primitive on the ray from the eye; kNone is the sky.
 const uint kNone = 0xFFFFFFFFu;
+bool may_be_cut_out(uint entry) { return kCutouts > 1u && (entry >> 18 & 7u) != 0u; }
+
+// Both searches below walk a list, and stop at a cut-out primitive that the ray meets to look at its
+// pattern: CPU drivers run all of a loop's body for every entry, and most entries are not met. Cut-out
+// primitives are hollow: where the near side has a hole, the far side may be met.
+
+/// Nearest primitive on the ray from the eye; kNone is the sky.
 uint nearest(vec2 position, vec3 d, out float t) {
   ivec2 tile = ivec2(position - frame.window.xy) >> frame.tiles.w;
   tile = clamp(tile, ivec2(0), frame.tiles.xy - 1);
-  int head = frame.tiles.z + 3 * (tile.y * frame.tiles.x + tile.x);
-  uvec2 list = texelFetch(lists, head).xy;
+  uvec2 list = texelFetch(lists, frame.tiles.z + 2 * (tile.y * frame.tiles.x + tile.x)).xy;
   float near = frame.depth.x;
   t = frame.depth.y;
   uint found = kNone;
-  for (uint i = 0u; i < list.y; ++i) {
-    uvec2 entry = texelFetch(lists, int(list.x + i)).xy;
-    if (uintBitsToFloat(entry.y) > t) break;
-    Space s = space_of(int(entry.x & 0xFFFFu));
-    vec3 ray = vec3(dot(s.x.xyz, d), dot(s.y.xyz, d), dot(s.z.xyz, d));
-    vec2 span = crossed(entry.x >> 16 & 3u, vec3(s.x.w, s.y.w, s.z.w), ray);
-    float at = span.x > near ? span.x : span.y;
-    if (span.x <= span.y && at > near && at < t) {
-      t = at;
-      found = entry.x;
-    }
-  }
-  if (kCutouts > 1u) {
-    list = texelFetch(lists, head + 1).xy;
-    for (uint i = 0u; i < list.y; ++i) {
+  uint i = 0u;
+  uint candidate = kNone;
+  float at = 0.0, far_side = 0.0;
+  vec3 o = vec3(0.0), ray = vec3(0.0);
+  do {
+    while (candidate == kNone && i < list.y) {
       uvec2 entry = texelFetch(lists, int(list.x + i)).xy;
-      if (uintBitsToFloat(entry.y) > t) break;
+      ++i;
+      if (uintBitsToFloat(entry.y) > t) i = list.y;  // all others are farther still
       Space s = space_of(int(entry.x & 0xFFFFu));
-      vec3 ray = vec3(dot(s.x.xyz, d), dot(s.y.xyz, d), dot(s.z.xyz, d));
-      vec3 o = vec3(s.x.w, s.y.w, s.z.w);
+      ray = vec3(dot(s.x.xyz, d), dot(s.y.xyz, d), dot(s.z.xyz, d));
+      o = vec3(s.x.w, s.y.w, s.z.w);
       vec2 span = crossed(entry.x >> 16 & 3u, o, ray);
-      // Hollow: where the near side is cut out, the far side may be seen.
-      bool crosses = span.x <= span.y;
-      float at = span.x;
-      for (int side = 0; side < 2; ++side) {
-        bool seen = crosses && at > near && at < t && !is_cut_out(entry.x, o + at * ray);
-        if (seen) {
-          t = at;
-          found = entry.x;
-        }
-        if (seen || !crosses || span.x == span.y) break;
-        at = span.y;
+      at = span.x > near ? span.x : span.y;
+      far_side = span.y;
+      bool met = span.x <= span.y && at > near && at < t;
+      if (may_be_cut_out(entry.x)) {
+        if (met) candidate = entry.x;
+      } else if (met) {
+        t = at;
+        found = entry.x;
       }
     }
-  }
+    if (kCutouts <= 1u || candidate == kNone) break;
+    if (!is_cut_out(candidate, o + at * ray)) {
+      t = at;
+      found = candidate;
+      candidate = kNone;
+    } else {
+      if (at == far_side || far_side >= t) candidate = kNone;
+      at = far_side;
+    }
+  } while (true);
   return found;
 }
 
@@ -259,45 +262,44 @@ float sunlight(vec3 p, uint own) {
                                 dot(frame.grid_v.xyz, p) + frame.grid_v.w)));
   bool outside = any(lessThan(cell, ivec2(0))) || any(greaterThanEqual(cell, frame.grid.xy));
   cell = clamp(cell, ivec2(0), frame.grid.xy - 1);
-  int head = frame.grid.z + 2 * (cell.y * frame.grid.x + cell.x);
-  uvec2 list = texelFetch(lists, head).xy;
+  uvec2 list = texelFetch(lists, frame.grid.z + cell.y * frame.grid.x + cell.x).xy;
   if (outside || own == kNone) list.y = 0u;
   float height = dot(frame.sun.xyz, p);
   float light = 1.0;
-  for (uint i = 0u; i < list.y; ++i) {
-    uvec2 entry = texelFetch(lists, int(list.x + i)).xy;
-    if (uintBitsToFloat(entry.y) < height) break;
-    Space s = space_of(int(entry.x & 0xFFFFu));
-    vec3 ray = vec3(dot(s.x.xyz, frame.sun.xyz), dot(s.y.xyz, frame.sun.xyz),
-                    dot(s.z.xyz, frame.sun.xyz));
-    vec3 o = vec3(dot(s.x.xyz, p) + s.x.w, dot(s.y.xyz, p) + s.y.w, dot(s.z.xyz, p) + s.z.w);
-    vec2 span = crossed(entry.x >> 16 & 3u, o, ray);
-    if (span.x <= span.y && span.y > 0.0 && entry.x != own) {
-      light = 0.0;
-      break;
-    }
-  }
-  if (kCutouts > 1u) {
-    list = texelFetch(lists, head + 1).xy;
-    if (outside || own == kNone || light == 0.0) list.y = 0u;
-    for (uint i = 0u; i < list.y; ++i) {
+  uint i = 0u;
+  uint candidate = kNone;
+  float at = 0.0, far_side = 0.0;
+  vec3 o = vec3(0.0), ray = vec3(0.0);
+  do {
+    while (candidate == kNone && i < list.y) {
       uvec2 entry = texelFetch(lists, int(list.x + i)).xy;
-      if (uintBitsToFloat(entry.y) < height) break;
+      ++i;
+      if (uintBitsToFloat(entry.y) < height) i = list.y;  // all others lie lower still
       Space s = space_of(int(entry.x & 0xFFFFu));
-      vec3 ray = vec3(dot(s.x.xyz, frame.sun.xyz), dot(s.y.xyz, frame.sun.xyz),
-                      dot(s.z.xyz, frame.sun.xyz));
-      vec3 o = vec3(dot(s.x.xyz, p) + s.x.w, dot(s.y.xyz, p) + s.y.w, dot(s.z.xyz, p) + s.z.w);
+      ray = vec3(dot(s.x.xyz, frame.sun.xyz), dot(s.y.xyz, frame.sun.xyz),
+                 dot(s.z.xyz, frame.sun.xyz));
+      o = vec3(dot(s.x.xyz, p) + s.x.w, dot(s.y.xyz, p) + s.y.w, dot(s.z.xyz, p) + s.z.w);
       vec2 span = crossed(entry.x >> 16 & 3u, o, ray);
-      bool crosses = span.x <= span.y;
-      float at = span.x;
-      for (int side = 0; side < 2; ++side) {
-        if (crosses && at > 0.0 && !is_cut_out(entry.x, o + at * ray)) light = 0.0;
-        if (!crosses || span.x == span.y || light == 0.0) break;
-        at = span.y;
+      at = span.x > 0.0 ? span.x : span.y;
+      far_side = span.y;
+      bool met = span.x <= span.y && span.y > 0.0;
+      if (may_be_cut_out(entry.x)) {
+        if (met) candidate = entry.x;
+      } else if (met && entry.x != own) {
+        light = 0.0;
+        i = list.y;
       }
-      if (light == 0.0) break;
     }
-  }
+    if (kCutouts <= 1u || candidate == kNone) break;
+    if (!is_cut_out(candidate, o + at * ray)) {
+      light = 0.0;
+      i = list.y;
+      candidate = kNone;
+    } else {
+      if (at == far_side) candidate = kNone;
+      at = far_side;
+    }
+  } while (true);
   return light;
 }
 
@@ -457,7 +459,7 @@ Sample look(vec2 position) {
   if (kHasParticles) {
     ivec2 tile = clamp(ivec2(position - frame.window.xy) >> frame.tiles.w, ivec2(0), frame.tiles.xy - 1);
     uvec2 list =
-        texelFetch(lists, frame.tiles.z + 3 * (tile.y * frame.tiles.x + tile.x) + 2).xy;
+        texelFetch(lists, frame.tiles.z + 2 * (tile.y * frame.tiles.x + tile.x) + 1).xy;
     for (uint i = 0u; i < list.y; ++i) {
       int index = frame.bases.y + 2 * int(texelFetch(lists, int(list.x + i)).x);
       vec4 disc = texelFetch(texels, index), glow = texelFetch(texels, index + 1);

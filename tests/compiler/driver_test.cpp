@@ -334,7 +334,8 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
       {"[1.5, 3]", "[\"1\", 3]", "frame: \"ratio\" must be the least and the largest ratio"},
       {"\"type\": \"vec2\"", "\"type\": \"mat2\"",
        "frame.params[1]: type \"mat2\" is none of float, vec2..4, int, ivec2..4"},
-      {"\"default\": [0.5]", "\"default\": 0.5", "frame.params[0]: \"default\" must be a list of 1"},
+      {"\"default\": [0.5]", "\"default\": 0.5",
+       "frame.params[0]: \"default\" must be a list of 1"},
       {"\"default\": [0.5]", "\"default\": [\"a\"]",
        "frame.params[0]: \"default\" must be a list of numbers"},
       {"\"reset\": true", "\"reset\": 1", "frame.params[2]: \"reset\" must be true or false"},
@@ -495,8 +496,9 @@ TEST_F(SandwichTest, TakesTheSizesThatAreAskedFor) {
   compiled = must(compile_text(kNetwork, sized));
   EXPECT_EQ(size(compiled, "shown"), (FrameExtent{36, 13}));
   sized.sizes.output = FrameExtent{12, 8};
-  EXPECT_NE(error_text(compile_text(kNetwork, sized)).find("12x8 to 12x8 is a ratio outside 1.5 to 3"),
-            std::string::npos);
+  EXPECT_NE(
+      error_text(compile_text(kNetwork, sized)).find("12x8 to 12x8 is a ratio outside 1.5 to 3"),
+      std::string::npos);
   sized.sizes.output.reset();
   sized.passes.input_shapes = {{"x", {1, 6, 8, 4}}};
   EXPECT_NE(error_text(compile_text(kNetwork, sized)).find("use --render and --output-size"),
@@ -504,7 +506,8 @@ TEST_F(SandwichTest, TakesTheSizesThatAreAskedFor) {
 }
 
 TEST_F(SandwichTest, MayHaveNoNetwork) {
-  const std::string json = R"({"schema": "shale-frame/1", "render": [4, 4], "output": [8, 8], "ratio": [2, 2],
+  const std::string json =
+      R"({"schema": "shale-frame/1", "render": [4, 4], "output": [8, 8], "ratio": [2, 2],
     "images": [{"name": "color", "role": "input", "format": "rgba8_unorm", "size": "render"},
                {"name": "shown", "role": "output", "format": "rgba8_unorm", "size": "output"}],
     "passes": [{"name": "grow", "shader": "grow.comp", "over": "shown", "bindings": [

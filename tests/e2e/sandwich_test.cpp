@@ -8,10 +8,13 @@
 #include <limits>
 #include <random>
 
+#include "compiler/frontend/frontend.h"
+#include "ir/base/file.h"
 #include "ir/text/text.h"
 #include "tests/support/vulkan_fixture.h"
-#include "ir/base/file.h"
+#include "tools/eval/sequence.h"
 #include "tools/eval/tonemap.h"
+#include "tools/scene/scene.h"
 #include "tools/scene/scene_source.h"
 #include "tools/shale/player.h"
 
@@ -39,7 +42,12 @@ const Kind kKinds[] = {
     {"nss_v1_high", {{"temporal", 1, 4}, {"kernel", 4, 36}}, 3.5},
     {"nss_v1_low", {{"temporal", 1, 4}, {"kernel", 4, 16}}, 2.5},
     {"nss_v0_1",
-     {{"k0", 1, 4}, {"k1", 1, 4}, {"k2", 1, 4}, {"k3", 1, 4}, {"temporal", 1, 4}, {"feedback", 1, 4}},
+     {{"k0", 1, 4},
+      {"k1", 1, 4},
+      {"k2", 1, 4},
+      {"k3", 1, 4},
+      {"temporal", 1, 4},
+      {"feedback", 1, 4}},
      2.5},
 };
 
@@ -60,9 +68,10 @@ Graph stand_in(const Kind& kind, uint64_t seed) {
     std::string from = "%input";
     text += fmt::format("  const %{}.t : i8[256] = [{}]\n", n, table);
     if (output.divide > 1) {
-      text += fmt::format("  %{}.p = max_pool2d %input {{kernel=[{},{}], stride=[{},{}], "
-                          "pad=[0,0,0,0]}} : {}\n",
-                          n, output.divide, output.divide, output.divide, output.divide, shape(12));
+      text += fmt::format(
+          "  %{}.p = max_pool2d %input {{kernel=[{},{}], stride=[{},{}], "
+          "pad=[0,0,0,0]}} : {}\n",
+          n, output.divide, output.divide, output.divide, output.divide, shape(12));
       from = fmt::format("%{}.p", n);
     }
     // 12 channels, several times, then the first ones of them.
@@ -71,7 +80,8 @@ Graph stand_in(const Kind& kind, uint64_t seed) {
     for (int i = 1; i < copies; ++i) many += ", " + from;
     text += fmt::format("  %{}.c = concat {} {{axis=3}} : {}\n", n, many, shape(12 * copies));
     text += fmt::format("  const %{}.at : shape[4] = [0,0,0,0]\n", n);
-    text += fmt::format("  const %{}.size : shape[4] = [1,{},{},{}]\n", n, side, side, output.channels);
+    text +=
+        fmt::format("  const %{}.size : shape[4] = [1,{},{},{}]\n", n, side, side, output.channels);
     text += fmt::format("  %{}.s = table %{}.c, %{}.t : {}\n", n, n, n, shape(12 * copies));
     text += fmt::format("  %{} = slice %{}.s, %{}.at, %{}.size : {}\n", n, n, n, n,
                         shape(output.channels));
@@ -104,12 +114,13 @@ class SandwichTest : public testing::Test {
                                            Extent render, Extent output) {
     CompileOptions options;
     options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
-    options.load_shader = [folder](const std::string& path) { return read_text(folder + "/" + path); };
+    options.load_shader = [folder](const std::string& path) {
+      return read_text(folder + "/" + path);
+    };
     options.sizes = {FrameExtent{render.width, render.height},
                      FrameExtent{output.width, output.height}};
     options.kernels = {"generic"};  // drivers take long for the fast ones, which pay at other sizes
-    const Compiled compiled =
-        must(compile_graph(graph ? *std::move(graph) : Graph{}, 0, options));
+    const Compiled compiled = must(compile_graph(graph ? *std::move(graph) : Graph{}, 0, options));
     return must(Player::create(*device_, compiled.package));
   }
   static std::unique_ptr<Player> player_of(const Kind& kind, uint64_t seed, Extent render,
@@ -155,8 +166,8 @@ SourceFrame noise_frame(Extent render, Extent output, uint32_t index, uint64_t s
   });
   for (float& d : frame.depth.values) d = 0.9f + 0.1f * unit(random);
   for (size_t i = 0; i < frame.motion.values.size(); ++i)
-    frame.motion.values[i] = (6 * unit(random) - 3) /
-                             static_cast<float>(i % 2 == 0 ? render.width : render.height);
+    frame.motion.values[i] =
+        (6 * unit(random) - 3) / static_cast<float>(i % 2 == 0 ? render.width : render.height);
   return frame;
 }
 
@@ -179,7 +190,8 @@ TEST_F(SandwichTest, ConstantColourStaysWhateverTheNetworkSays) {
         double worst = 0;
         for (size_t i = 0; i < shown.values.size(); ++i)
           worst = std::max(worst, std::abs(shown.values[i] / color[i % 3] - 1.0));
-        EXPECT_LE(worst, (t + 1) * std::exp2(-10)) << kind.model << " seed " << seed << " frame " << t;
+        EXPECT_LE(worst, (t + 1) * std::exp2(-10))
+            << kind.model << " seed " << seed << " frame " << t;
       }
     }
   }
@@ -190,9 +202,8 @@ TEST_F(SandwichTest, ResetForgetsThePast) {
   std::vector<std::pair<std::string, std::function<std::unique_ptr<Player>()>>> makers;
   for (const Kind& kind : kKinds)
     makers.emplace_back(kind.model, [&, kind] { return player_of(kind, kSeed, render, output); });
-  makers.emplace_back("mob_fgsr", [&] {
-    return player_of(models() + "baselines/mob_fgsr", {}, render, output);
-  });
+  makers.emplace_back(
+      "mob_fgsr", [&] { return player_of(models() + "baselines/mob_fgsr", {}, render, output); });
   SourceFrame last = noise_frame(render, output, 9, 77);
   last.camera.cut = true;
   for (const auto& [name, make] : makers) {
@@ -215,30 +226,33 @@ TEST_F(SandwichTest, AnyRatioAndSizeShowsASlopeWithoutLines) {
   // outside. So it is off by the slope times that distance at most, on each axis, and by 2^-10 a
   // frame for half floats. A line of missing or misplaced samples would be off by far more.
   const std::pair<Extent, Extent> kSizes[] = {
-      {{60, 40}, {60, 40}},   {{60, 40}, {78, 52}},     {{60, 40}, {90, 60}},
-      {{60, 40}, {120, 80}},  {{60, 40}, {180, 120}},   {{61, 37}, {100, 71}},
-      {{31, 17}, {62, 51}},   {{853, 479}, {1706, 958}}, {{1, 1}, {3, 3}},
-      {{2, 3}, {3, 5}},       {{9, 8}, {16, 16}}};
+      {{60, 40}, {60, 40}},  {{60, 40}, {78, 52}},      {{60, 40}, {90, 60}},
+      {{60, 40}, {120, 80}}, {{60, 40}, {180, 120}},    {{61, 37}, {100, 71}},
+      {{31, 17}, {62, 51}},  {{853, 479}, {1706, 958}}, {{1, 1}, {3, 3}},
+      {{2, 3}, {3, 5}},      {{9, 8}, {16, 16}}};
   constexpr double kLow = 0.2, kSlope = 0.3;
   const auto mapped = [&](double u, double v) { return kLow + kSlope * (u + v); };
   for (const auto& [render, output] : kSizes) {
     for (const Kind& kind : kKinds) {
       const auto player = player_of(kind, kSeed, render, output);
       for (uint32_t t = 0; t < 3; ++t) {
-        const FloatImage shown = must(player->play(frame_of(render, output, t, [&](double u, double v) {
-          const float x = static_cast<float>(mapped(u, v) / (1 - mapped(u, v)));
-          return Color{x, x, x};
-        })));
+        const FloatImage shown =
+            must(player->play(frame_of(render, output, t, [&](double u, double v) {
+              const float x = static_cast<float>(mapped(u, v) / (1 - mapped(u, v)));
+              return Color{x, x, x};
+            })));
         ASSERT_TRUE(all_finite(shown));
-        const double off_x = kSlope / output.width * (2 * kind.reach + 2.0 * output.width / render.width);
+        const double off_x =
+            kSlope / output.width * (2 * kind.reach + 2.0 * output.width / render.width);
         const double off_y =
             kSlope / output.height * (2 * kind.reach + 2.0 * output.height / render.height);
         double worst = 0;
         for (uint32_t y = 0; y < output.height; ++y)
           for (uint32_t x = 0; x < output.width; ++x) {
             const double value = *shown.at(x, y);
-            worst = std::max(worst, std::abs(value / (1 + value) - mapped((x + 0.5) / output.width,
-                                                                        (y + 0.5) / output.height)));
+            worst =
+                std::max(worst, std::abs(value / (1 + value) - mapped((x + 0.5) / output.width,
+                                                                      (y + 0.5) / output.height)));
           }
         EXPECT_LE(worst, off_x + off_y + (t + 1) * std::exp2(-10))
             << kind.model << " " << render.width << "x" << render.height << " to " << output.width
@@ -376,6 +390,93 @@ TEST_F(SandwichTest, DamageStaysLocal) {
               << kind.model << " frame " << t << " at " << x << ", " << y;
         }
     }
+  }
+}
+
+/// Nothing moves; edges, wires and texture at all angles.
+constexpr const char* kStillLife = R"({
+  "schema": "shale-scene/1", "frames": 40, "seed": 5, "exposure": 0.8,
+  "camera": {"fov_y": 50, "near": 0.1, "far": 100, "path": [
+    {"frame": 0, "eye": [0.4, 1.7, 5], "target": [0, 0.9, 0]}]},
+  "sun": {"direction": [0.4, 0.7, 0.5], "color": [3, 2.9, 2.6]},
+  "sky": {"zenith": [0.2, 0.4, 0.8], "horizon": [0.7, 0.8, 0.9], "ambient": [0.3, 0.33, 0.4]},
+  "materials": {
+    "floor": {"pattern": "checker", "color": [0.7, 0.68, 0.6], "color_b": [0.2, 0.2, 0.25], "cell": [0.4, 0.4]},
+    "brick": {"pattern": "bricks", "color": [0.5, 0.2, 0.12], "color_b": [0.7, 0.68, 0.6], "cell": [0.24, 0.08], "width": 0.02},
+    "iron": {"color": [0.08, 0.08, 0.09]}},
+  "objects": [
+    {"shape": "plane", "size": [40, 40], "material": "floor"},
+    {"shape": "box", "at": [-0.9, 0.6, 0], "rotate": [0, 25, 0], "size": [1, 1.2, 1], "material": "brick"},
+    {"shape": "sphere", "at": [0.8, 0.6, 0.2], "radius": 0.6, "material": "floor"},
+    {"shape": "wire", "from": [-3, 2.2, 0], "to": [3, 1.6, 0], "radius": 0.01, "sag": 0.3, "segments": 8, "material": "iron"}]
+})";
+
+// The trained network, at a small size: error and flicker of a still picture, and how long a bad
+// texel is seen.
+class TrainedTest : public SandwichTest {
+ protected:
+  static constexpr Extent kRender{128, 72}, kOutput{256, 144};
+
+  static std::unique_ptr<Player> player() {
+    const Graph graph = must(import_model(must(read_file(models() + "nss_v1_high/model.tosa"))));
+    return player_of(models() + "nss_v1_high", graph, kRender, kOutput);
+  }
+  static std::unique_ptr<SceneSource> still_life() {
+    SceneOptions options;
+    options.render = kRender;
+    options.output = kOutput;
+    return must(SceneSource::create(device_->context(), must(parse_scene(kStillLife)), options));
+  }
+};
+
+TEST_F(TrainedTest, ConvergesWhereNothingMoves) {
+  const auto network = player();
+  const auto scene = still_life();
+  ReferenceTrack track;
+  SequenceEvaluator evaluator;
+  std::vector<double> psnr_db;
+  for (uint32_t t = 0; t < 34; ++t) {
+    SourceFrame frame = must(scene->frame(t, true));
+    must(track.advance({.display = display_image(frame.truth, frame.camera.exposure),
+                        .motion = &frame.truth_motion,
+                        .depth = &frame.truth_depth,
+                        .cut = frame.camera.cut,
+                        .camera_still = t > 0}));
+    psnr_db.push_back(*must(evaluator.add(must(network->show(frame)), track)).psnr_db);
+  }
+  const double last = (psnr_db[30] + psnr_db[31] + psnr_db[32] + psnr_db[33]) / 4;
+  EXPECT_GE(last, psnr_db[0] + 2) << "dB, after 32 frames";
+  const SequenceMetrics metrics = evaluator.finish();
+  ASSERT_TRUE(metrics.still);
+  EXPECT_LE(metrics.still->code_values, 3) << "of 255";
+  RecordProperty("psnr_first", std::to_string(psnr_db[0]));
+  RecordProperty("psnr_last", std::to_string(last));
+  RecordProperty("still_deviation", std::to_string(metrics.still->code_values));
+}
+
+TEST_F(TrainedTest, DamageIsGoneAfterSixteenFrames) {
+  constexpr uint32_t kBad = 6, kGone = 16;
+  const auto clean = player(), damaged = player();
+  const auto scene = still_life();
+  for (uint32_t t = 0; t <= kBad + kGone; ++t) {
+    SourceFrame frame = must(scene->frame(t, false));
+    SourceFrame other = frame;
+    if (t == kBad) {
+      for (uint32_t y = 30; y < 33; ++y)
+        for (uint32_t x = 60; x < 63; ++x) {
+          other.color.at(x, y)[0] = std::numeric_limits<float>::quiet_NaN();
+          other.color.at(x, y)[1] = std::numeric_limits<float>::infinity();
+          *other.depth.at(x, y) = std::numeric_limits<float>::infinity();
+          other.motion.at(x, y)[0] = std::numeric_limits<float>::quiet_NaN();
+        }
+    }
+    const FloatImage expected = must(clean->show(frame));
+    const FloatImage found = must(damaged->show(other));
+    if (t < kBad + kGone) continue;
+    float worst = 0;
+    for (size_t i = 0; i < found.values.size(); ++i)
+      worst = std::max(worst, std::abs(found.values[i] - expected.values[i]));
+    EXPECT_LE(worst, 4.5f / 255) << "what is left of nine bad texels, " << kGone << " frames later";
   }
 }
 

@@ -57,22 +57,34 @@ Package sample_package() {
   const auto sampled = BindingType::kSampledImage;
   const auto stored = BindingType::kStorageImage;
   const auto none = ImageFormat::kNone;
-  const Dispatch pack{"pack", "pre", 0, {1, 2, 3},
+  const Dispatch pack{"pack",
+                      "pre",
+                      0,
+                      {1, 2, 3},
                       {{0, sampled, kColor, none, true, false, 0},
                        {1, sampled, kHistory, none, true, false, 2},
                        {2, stored, kScratch, none, false, true, 0},
                        {9, storage, kX, none, false, true, 0}},
                       {}};
-  const Dispatch conv1{"conv1", "conv2d_s8_f32exact", 1, {4, 1, 1},
+  const Dispatch conv1{"conv1",
+                       "conv2d_s8_f32exact",
+                       1,
+                       {4, 1, 1},
                        {{0, texel, kX, ImageFormat::kRgba8Sint, true, false, 0},
                         {1, storage, kWeight, none, true, false, 0},
                         {2, storage, kMid, none, false, true, 0}},
                        {1000, 20, 300, 40, 5.5}};
-  const Dispatch conv2{"conv2", "conv2d_s8_f32exact", 1, {4, 1, 1},
+  const Dispatch conv2{"conv2",
+                       "conv2d_s8_f32exact",
+                       1,
+                       {4, 1, 1},
                        {{0, texel, kMid, ImageFormat::kR8Sint, true, false, 0},
                         {63, storage, kY, none, true, true, 0}},
                        {}};
-  const Dispatch show{"show", "post", 0, {1, 1, 1},
+  const Dispatch show{"show",
+                      "post",
+                      0,
+                      {1, 1, 1},
                       {{0, storage, kY, none, true, false, 0},
                        {1, stored, kHistory, none, false, true, 0},
                        {2, stored, kShown, none, false, true, 0}},
@@ -195,8 +207,7 @@ TEST(Package, AcceptsNewerMinorVersions) {
   const auto weights = builder.CreateVector(std::vector<uint8_t>());
   fbs::FinishPackageBuffer(builder,
                            fbs::CreatePackage(builder, 1, 77, provenance, variants, weights));
-  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
-            "the package has no variant");
+  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}), "the package has no variant");
 }
 
 TEST(Package, RefusesPartsThatOverlap) {
@@ -207,21 +218,20 @@ TEST(Package, RefusesPartsThatOverlap) {
   Spirv words(1000, 0);
   words[0] = 0x07230203;
   const auto module = fbs::CreateModule(builder, builder.CreateVector(words));
-  const auto modules = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Module>>(
-      1000, module));
+  const auto modules =
+      builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Module>>(1000, module));
   const auto resources = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Resource>>());
   const auto segments = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Segment>>());
   const auto proofs = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::RangeProof>>());
-  const auto variant =
-      fbs::CreateVariant(builder, text, fbs::CreateRequirements(builder), 0, resources, segments,
-                         modules, proofs);
+  const auto variant = fbs::CreateVariant(builder, text, fbs::CreateRequirements(builder), 0,
+                                          resources, segments, modules, proofs);
   const auto variants =
       builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Variant>>(100, variant));
   const auto weights = builder.CreateVector(std::vector<uint8_t>());
   fbs::FinishPackageBuffer(
-      builder, fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
-                                  fbs::CreateProvenance(builder, 0, text, text, text), variants,
-                                  weights));
+      builder,
+      fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
+                         fbs::CreateProvenance(builder, 0, text, text, text), variants, weights));
   EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
             "the package is damaged: parts of it overlap");
 }
@@ -284,7 +294,10 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"mid\": rank 7 is above 6"},
     {"ZeroExtent", [](Package& p) { resource(p, 1).shape[2] = 0; },
      "variant 0, resource \"mid\": extent 0 is below 1"},
-    {"NegativeExtent", [](Package& p) { resource(p, 1).shape = {-8, -64}; },
+    {"NegativeExtent",
+     [](Package& p) {
+       resource(p, 1).shape = {-8, -64};
+     },
      "variant 0, resource \"mid\": extent -8 is below 1"},
     {"OverflowingShape",
      [](Package& p) {
@@ -331,15 +344,13 @@ const BadPackage kBadPackages[] = {
      "variant 0, module 1: holds no SPIR-V"},
     {"SegmentNameTwice", [](Package& p) { variant(p).segments[2].name = "pre"; },
      "variant 0, segment 2: the segment name \"pre\" is taken already"},
-    {"SegmentKindNumber",
-     [](Package& p) { variant(p).segments[2].kind = number<SegmentKind>(2); },
+    {"SegmentKindNumber", [](Package& p) { variant(p).segments[2].kind = number<SegmentKind>(2); },
      "variant 0, segment 2: segment kind 2 does not exist"},
     {"ParamNameTwice", [](Package& p) { variant(p).params[1].name = "jitter"; },
      "variant 0, parameter \"jitter\": the parameter name \"jitter\" is taken already"},
     {"ParamComponents", [](Package& p) { variant(p).params[0].components = 5; },
      "variant 0, parameter \"jitter\": 5 components are outside 1..4"},
-    {"ParamSourceNumber",
-     [](Package& p) { variant(p).params[0].source = number<ParamSource>(2); },
+    {"ParamSourceNumber", [](Package& p) { variant(p).params[0].source = number<ParamSource>(2); },
      "variant 0, parameter \"jitter\": source 2 does not exist"},
     {"ParamOfReset", [](Package& p) { variant(p).params[1].is_integer = false; },
      "variant 0, parameter \"reset\": the reset flag must be one integer"},
@@ -399,10 +410,7 @@ const BadPackage kBadPackages[] = {
      "variant 0, dispatch \"conv1\", binding 1: an image descriptor leads to the tensor \"w\""},
     {"WrittenWeights", [](Package& p) { dispatch(p, 1, 0).bindings[1].writes = true; },
      "variant 0, dispatch \"conv1\", binding 1: weights \"w\" are written"},
-    {"WrittenInput",
-     [](Package& p) {
-       dispatch(p, 1, 0).bindings[2].resource = 0;
-     },
+    {"WrittenInput", [](Package& p) { dispatch(p, 1, 0).bindings[2].resource = 0; },
      "variant 0, dispatch \"conv1\", binding 2: the graph segment writes its input \"x\""},
     {"TensorOfThePast", [](Package& p) { dispatch(p, 1, 0).bindings[1].frames_back = 1; },
      "variant 0, dispatch \"conv1\", binding 1: frames_back is 1 on a tensor"},
@@ -415,10 +423,7 @@ const BadPackage kBadPackages[] = {
      [](Package& p) { dispatch(p, 1, 0).bindings[0].view_format = ImageFormat::kRgba8Unorm; },
      "variant 0, dispatch \"conv1\", binding 0: a texel buffer cannot have the view format "
      "rgba8_unorm"},
-    {"TexelBufferOfInt32",
-     [](Package& p) {
-       dispatch(p, 1, 0).bindings[0].resource = 2;
-     },
+    {"TexelBufferOfInt32", [](Package& p) { dispatch(p, 1, 0).bindings[0].resource = 2; },
      "variant 0, dispatch \"conv1\", binding 0: a texel buffer views a tensor of type INT32, "
      "expected INT8 or BOOL"},
     {"BrokenTexels",
@@ -432,24 +437,20 @@ const BadPackage kBadPackages[] = {
      [](Package& p) { dispatch(p, 0, 0).bindings[0].type = BindingType::kStorageBuffer; },
      "variant 0, dispatch \"pack\", binding 0: a buffer descriptor leads to the image \"color\""},
     {"ImageInGraph",
-     [](Package& p) {
-       dispatch(p, 1, 0).bindings[1] = dispatch(p, 0, 0).bindings[1];
-     },
+     [](Package& p) { dispatch(p, 1, 0).bindings[1] = dispatch(p, 0, 0).bindings[1]; },
      "variant 0, dispatch \"conv1\", binding 1: the graph segment uses the image \"history\""},
     {"ImageWithViewFormat",
      [](Package& p) { dispatch(p, 0, 0).bindings[0].view_format = ImageFormat::kR8Unorm; },
      "variant 0, dispatch \"pack\", binding 0: an image descriptor has a view format"},
     {"WrittenSampledImage", [](Package& p) { dispatch(p, 0, 0).bindings[1].writes = true; },
      "variant 0, dispatch \"pack\", binding 1: a sampled image is written"},
-    {"WrittenInputImage",
-     [](Package& p) { dispatch(p, 0, 0).bindings[2].resource = 4; },
+    {"WrittenInputImage", [](Package& p) { dispatch(p, 0, 0).bindings[2].resource = 4; },
      "variant 0, dispatch \"pack\", binding 2: the input image \"color\" is written"},
     {"TooFarBack", [](Package& p) { dispatch(p, 0, 0).bindings[1].frames_back = 3; },
      "variant 0, dispatch \"pack\", binding 1: frames_back is 3, \"history\" holds 3 frame(s)"},
     {"BackWithoutHistory", [](Package& p) { dispatch(p, 0, 0).bindings[0].frames_back = 1; },
      "variant 0, dispatch \"pack\", binding 0: frames_back is 1, \"color\" holds 1 frame(s)"},
-    {"RewrittenPast",
-     [](Package& p) { dispatch(p, 2, 0).bindings[1].frames_back = 1; },
+    {"RewrittenPast", [](Package& p) { dispatch(p, 2, 0).bindings[1].frames_back = 1; },
      "variant 0, dispatch \"show\", binding 1: an earlier frame's \"history\" is written"},
     {"ProofLengths", [](Package& p) { variant(p).proofs[0].max.pop_back(); },
      "variant 0, proof 0: 2 minima, 1 maxima and 2 magnitudes, expected as many of each"},

@@ -61,8 +61,8 @@ class Cli : public testing::Test {
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
-  for (const char* command :
-       {"compile", "run", "play", "report", "dump", "verify", "conform", "doctor", "diff", "scene", "eval"}) {
+  for (const char* command : {"compile", "run", "play", "report", "dump", "verify", "conform",
+                              "doctor", "diff", "scene", "eval"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -170,10 +170,7 @@ TEST_F(Cli, PlayRunsTheSandwichOnAPictureAndAFolder) {
 }
 
 TEST_F(Cli, PlayRefusesPicturesOfAnotherSizeAndPackagesWithoutSandwich) {
-  ASSERT_EQ(
-      shale("compile " + kModels + "/srpo_x2 --render 16x16 -o " + file("p.shale"))
-          .exit,
-      0);
+  ASSERT_EQ(shale("compile " + kModels + "/srpo_x2 --render 16x16 -o " + file("p.shale")).exit, 0);
   const std::string play = " -i " + kModels + "/pictures/raster_lr.png -o " + file("o.png");
   const Outcome size = shale("play " + file("p.shale") + play);
   EXPECT_EQ(size.exit, 1);

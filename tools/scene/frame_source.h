@@ -43,9 +43,9 @@ struct FrameCamera {
   bool reverse_depth = false;  ///< depth 1 is near, 0 is far
   /// Render pixels in [-0.5, 0.5]: the sample stored in texel l lies at scene position l + 0.5 + j.
   std::array<float, 2> jitter{};
-  float exposure = 1;                          ///< linear factor on colours
-  bool cut = false;                            ///< nothing is continued from the frame before
-  std::array<float, 16> view_projection{};     ///< column-major, without jitter
+  float exposure = 1;                       ///< linear factor on colours
+  bool cut = false;                         ///< nothing is continued from the frame before
+  std::array<float, 16> view_projection{};  ///< column-major, without jitter
 };
 
 /// Colours are linear HDR. Motion is in uv of the whole picture, without jitter: what is seen at uv
@@ -55,9 +55,10 @@ struct SourceFrame {
   FloatImage color;   ///< RGB at render size, one jittered sample a pixel
   FloatImage depth;   ///< 1 channel at render size, of the same sample
   FloatImage motion;  ///< 2 channels at render size, of the same sample
-  FloatImage truth;         ///< RGB at output size; empty if not asked for or not there
-  FloatImage truth_motion;  ///< 2 channels at output size, of the nearest sample of a pixel; as truth
-  FloatImage truth_depth;   ///< 1 channel at output size, of the nearest sample; as truth
+  FloatImage truth;   ///< RGB at output size; empty if not asked for or not there
+  FloatImage
+      truth_motion;  ///< 2 channels at output size, of the nearest sample of a pixel; as truth
+  FloatImage truth_depth;  ///< 1 channel at output size, of the nearest sample; as truth
 };
 
 /// Random access to the frames of one sequence.

@@ -326,8 +326,7 @@ class Tables {
       return static_cast<int32_t>((pixels + (1u << log2) - 1) >> log2);
     };
     const int32_t columns = count(window_.size.width), rows = count(window_.size.height);
-    CellLists opaque(columns, rows, most_entries_), cutout(columns, rows, most_entries_),
-        particles(columns, rows, most_entries_);
+    CellLists primitives(columns, rows, most_entries_), particles(columns, rows, most_entries_);
     std::vector<Point2> cells;
     for (const Seen& seen : seen_) {
       const Primitive& primitive = scene_.primitives[seen.index];
@@ -335,13 +334,12 @@ class Tables {
       cells.clear();
       for (const Point2& p : seen.outline)
         cells.push_back({(p.x - window_.x) / side, (p.y - window_.y) / side});
-      CellLists& lists = material.cutout == CutoutKind::kNone ? opaque : cutout;
       // A little nearer, since the device computes the distance in float.
       const Uint2 entry{
           entry_bits(seen.index, primitive, material),
           std::bit_cast<uint32_t>(static_cast<float>(seen.nearest * (1 - 1e-5) - 1e-5))};
       cover_cells(cells, kPixelMargin / side, columns, rows,
-                  [&](int32_t x, int32_t y) { lists.add(x, y, entry); });
+                  [&](int32_t x, int32_t y) { primitives.add(x, y, entry); });
     }
     for (const SeenParticle& p : particles_) {
       const double x = (p.x - window_.x) / side, y = (p.y - window_.y) / side;
@@ -355,14 +353,14 @@ class Tables {
     std::vector<Uint2>& out = tables_.lists;
     const size_t base = out.size();
     tables_.block.tiles = {columns, rows, static_cast<int32_t>(base), log2};
-    // For a tile: first and number of the opaque ones, of the cut out ones, of the particles.
-    out.resize(base + 3 * opaque.cells());
+    // For a tile: first and number of the primitives, and of the particles.
+    out.resize(base + 2 * primitives.cells());
     size_t part = 0;
-    for (const CellLists* lists : {&opaque, &cutout, &particles}) {
+    for (const CellLists* lists : {&primitives, &particles}) {
       std::vector<uint32_t> first;
       lists->append_to(out, first);
       for (size_t i = 0; i < first.size(); ++i)
-        out[base + 3 * i + part] = {first[i], lists->count(i)};
+        out[base + 2 * i + part] = {first[i], lists->count(i)};
       ++part;
     }
   }
@@ -404,19 +402,18 @@ class Tables {
     const double cell = std::max(std::sqrt(width * height / wanted), std::max(width, height) / 512);
     const auto columns = static_cast<int32_t>(std::ceil(width / cell));
     const auto rows = static_cast<int32_t>(std::ceil(height / cell));
-    CellLists cells(columns, rows, most_entries_), cutouts(columns, rows, most_entries_);
+    CellLists cells(columns, rows, most_entries_);
     for (const Caster& caster : casters) {
       std::array<Point2, 8> at;
       for (uint32_t k = 0; k < caster.count; ++k)
         at[k] = {(caster.at[k].x - low_x) / cell, (caster.at[k].y - low_y) / cell};
       const Primitive& primitive = scene_.primitives[caster.index];
       const Material& material = scene_.materials[primitive.material];
-      const Uint2 entry{
-          entry_bits(caster.index, primitive, material),
-          std::bit_cast<uint32_t>(static_cast<float>(caster.top + std::abs(caster.top) * 1e-5))};
-      CellLists& lists = material.cutout == CutoutKind::kNone ? cells : cutouts;
+      const Uint2 entry{entry_bits(caster.index, primitive, material),
+                        std::bit_cast<uint32_t>(
+                            static_cast<float>(caster.top + std::abs(caster.top) * 1e-5 + 1e-4))};
       cover_cells({at.data(), caster.count}, 1e-3, columns, rows,
-                  [&](int32_t x, int32_t y) { lists.add(x, y, entry); });
+                  [&](int32_t x, int32_t y) { cells.add(x, y, entry); });
     }
     FrameBlock& b = tables_.block;
     b.grid_u = float4(u * (1 / cell), -low_x / cell);
@@ -424,15 +421,10 @@ class Tables {
     std::vector<Uint2>& out = tables_.lists;
     const size_t base = out.size();
     b.grid = {columns, rows, static_cast<int32_t>(base), 0};
-    out.resize(base + 2 * cells.cells());
-    size_t part = 0;
-    for (const CellLists* lists : {&cells, &cutouts}) {
-      std::vector<uint32_t> first;
-      lists->append_to(out, first);
-      for (size_t i = 0; i < first.size(); ++i)
-        out[base + 2 * i + part] = {first[i], lists->count(i)};
-      ++part;
-    }
+    out.resize(base + cells.cells());
+    std::vector<uint32_t> first;
+    cells.append_to(out, first);
+    for (size_t i = 0; i < first.size(); ++i) out[base + i] = {first[i], cells.count(i)};
   }
 
   const Scene& scene_;

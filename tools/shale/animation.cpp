@@ -29,8 +29,8 @@ void put_chunk(std::vector<uint8_t>& to, const char* type, std::span<const uint8
   const size_t start = to.size();
   to.insert(to.end(), type, type + 4);
   to.insert(to.end(), data.begin(), data.end());
-  put_32(to, static_cast<uint32_t>(
-                 crc32(0, to.data() + start, static_cast<uInt>(to.size() - start))));
+  put_32(to,
+         static_cast<uint32_t>(crc32(0, to.data() + start, static_cast<uInt>(to.size() - start))));
 }
 
 /// Calls `take` with type and data of each chunk of a PNG that our own encoder made.

@@ -38,7 +38,8 @@ class Methods {
 
   /// Sizes of the first method without any being given: those that scenes are rendered in.
   Result<std::pair<Extent, Extent>> default_sizes() const {
-    SHALE_TRY(const Sandwich first, load_sandwich(arguments_.methods[0], arguments_.compile, {}, {}));
+    SHALE_TRY(const Sandwich first,
+              load_sandwich(arguments_.methods[0], arguments_.compile, {}, {}));
     return sandwich_sizes(first.package);
   }
 
@@ -47,8 +48,7 @@ class Methods {
     if (render == render_ && output == output_) return &methods_;
     methods_.clear();
     for (const std::string& path : arguments_.methods) {
-      SHALE_TRY(const Sandwich sandwich,
-                load_sandwich(path, arguments_.compile, render, output));
+      SHALE_TRY(const Sandwich sandwich, load_sandwich(path, arguments_.compile, render, output));
       SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package));
       if (sizes.first != render || sizes.second != output)
         return bad_input(path, "was compiled for {}x{} to {}x{}, the frames are {}x{} to {}x{}",
@@ -86,8 +86,8 @@ Result<EvalScene> evaluate(const Arguments& arguments, FrameSource& source,
   scene.name = source.name();
   scene.frames = count;
   scene.first_frame = arguments.source.first;
-  scene.size = fmt::format("{}x{} to {}x{}", render.width, render.height, output.width,
-                           output.height);
+  scene.size =
+      fmt::format("{}x{} to {}x{}", render.width, render.height, output.width, output.height);
   scene.methods.resize(methods.size());
   ReferenceTrack track;
   std::vector<SequenceEvaluator> evaluators(methods.size());
@@ -101,12 +101,12 @@ Result<EvalScene> evaluate(const Arguments& arguments, FrameSource& source,
     if (frame.truth.empty()) return bad_input(scene.name, "frame {} has no ground truth", i);
     const bool still = previous && same_view(*previous, frame.camera);
     previous = frame.camera;
-    SHALE_TRY_VOID(track.advance(
-        {.display = display_image(frame.truth, frame.camera.exposure),
-         .motion = frame.truth_motion.empty() ? nullptr : &frame.truth_motion,
-         .depth = frame.truth_depth.empty() ? nullptr : &frame.truth_depth,
-         .cut = frame.camera.cut,
-         .camera_still = still}));
+    SHALE_TRY_VOID(
+        track.advance({.display = display_image(frame.truth, frame.camera.exposure),
+                       .motion = frame.truth_motion.empty() ? nullptr : &frame.truth_motion,
+                       .depth = frame.truth_depth.empty() ? nullptr : &frame.truth_depth,
+                       .cut = frame.camera.cut,
+                       .camera_still = still}));
     const bool shows = !arguments.page.empty() && is_shown(i, count, arguments.shown);
     std::vector<FloatImage> pictures(methods.size()), maps(methods.size());
     for (size_t m = 0; m < methods.size(); ++m) {
@@ -135,8 +135,7 @@ Result<EvalScene> evaluate(const Arguments& arguments, FrameSource& source,
                 evaluators[m].add(*std::move(result), track, time_ms, shows ? &maps[m] : nullptr));
       scene.methods[m].frames.push_back({metrics, time_ms});
     }
-    if (shows)
-      scene.shown.push_back(show_frame(i, track.reference().picture(), pictures, maps));
+    if (shows) scene.shown.push_back(show_frame(i, track.reference().picture(), pictures, maps));
   }
   for (size_t m = 0; m < methods.size(); ++m) scene.methods[m].means = evaluators[m].finish();
   scene.notes.push_back("IF-SSIM masks by depth as it is stored, which is hyperbolic.");
@@ -151,8 +150,8 @@ void print_table(const EvalReport& report) {
   };
   for (const EvalScene& scene : report.scenes) {
     fmt::print("{}: {} frames, {}\n", scene.name, scene.frames, scene.size);
-    fmt::print("  {:<{}} {:>9} {:>8} {:>8} {:>8} {:>8} {:>9}\n", "", wide, "PSNR dB", "SSIM", "FLIP",
-               "IF-SSIM", "still", "ms");
+    fmt::print("  {:<{}} {:>9} {:>8} {:>8} {:>8} {:>8} {:>9}\n", "", wide, "PSNR dB", "SSIM",
+               "FLIP", "IF-SSIM", "still", "ms");
     for (size_t m = 0; m < report.methods.size(); ++m) {
       const SequenceMetrics& means = scene.methods[m].means;
       const auto if_ssim =
@@ -160,8 +159,8 @@ void print_table(const EvalReport& report) {
       const auto still =
           means.still ? std::optional(means.still->code_values) : std::optional<double>();
       fmt::print("  {:<{}} {:>9} {:>8} {:>8} {:>8} {:>8} {:>9}\n", report.methods[m], wide,
-                 cell(means.psnr_db, 2), cell(means.ssim, 4), cell(means.flip, 4),
-                 cell(if_ssim, 4), cell(still, 3), cell(means.time_ms, 1));
+                 cell(means.psnr_db, 2), cell(means.ssim, 4), cell(means.flip, 4), cell(if_ssim, 4),
+                 cell(still, 3), cell(means.time_ms, 1));
     }
     for (const std::string& note : scene.notes) fmt::print("  {}\n", note);
   }
@@ -178,15 +177,15 @@ Result<int> eval(const Arguments& arguments) {
       std::unique_ptr<FrameSource> source;
       switch (source_kind(input)) {
         case SourceKind::kPictures:
-          return bad_input(input, "is neither a scene (.json) nor a dataset (a folder with 0000.json)");
+          return bad_input(input,
+                           "is neither a scene (.json) nor a dataset (a folder with 0000.json)");
         case SourceKind::kDataset: {
           SHALE_TRY(source, open_dataset(input, arguments.source));
           break;
         }
         case SourceKind::kScene: {
           SHALE_TRY(const auto sizes, methods.default_sizes());
-          SHALE_TRY(source,
-                    open_scene(input, arguments.source, device, sizes.first, sizes.second));
+          SHALE_TRY(source, open_scene(input, arguments.source, device, sizes.first, sizes.second));
         }
       }
       SHALE_TRY(std::vector<Method>* const ready,
@@ -222,7 +221,8 @@ Action add_eval(CLI::App& app) {
       ->allow_extra_args(false);
   app.add_option("--page", arguments->page, "write a page to look at (.html)");
   app.add_option("--json-file", arguments->json_file, "write the figures as JSON");
-  app.add_option("--shown", arguments->shown, "frames of each scene whose pictures go into the page")
+  app.add_option("--shown", arguments->shown,
+                 "frames of each scene whose pictures go into the page")
       ->check(CLI::Range(1u, 16u));
   app.add_flag("--no-time", arguments->no_time, "measure no times");
   arguments->source.add_to(app);

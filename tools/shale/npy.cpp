@@ -92,8 +92,8 @@ Result<void> write_array(const std::string& path, std::string_view descr, const 
                          std::span<const uint8_t> bytes) {
   std::string dims = fmt::format("{}", fmt::join(shape, ", "));
   if (shape.size() == 1) dims += ",";
-  std::string header = fmt::format("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
-                                   descr, dims);
+  std::string header =
+      fmt::format("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", descr, dims);
   header.append(63 - (10 + header.size()) % 64, ' ');
   header += '\n';
   std::string file(kMagic);
@@ -111,9 +111,9 @@ Result<void> write_npy(const std::string& path, const Tensor& tensor) {
 }
 
 Result<void> write_npy(const std::string& path, const FloatImage& image) {
-  return write_array(path, "<f4", {image.height, image.width, image.channels},
-                     {reinterpret_cast<const uint8_t*>(image.values.data()),
-                      image.values.size() * sizeof(float)});
+  return write_array(
+      path, "<f4", {image.height, image.width, image.channels},
+      {reinterpret_cast<const uint8_t*>(image.values.data()), image.values.size() * sizeof(float)});
 }
 
 }  // namespace shale

@@ -42,8 +42,9 @@ Result<std::vector<std::string>> input_files(const std::string& path) {
   }
   if (error) return io_error(path, "cannot list: {}", error.message());
   if (files.empty())
-    return bad_input(path, "holds neither a dataset (0000.json) nor a picture (.png, .jpg, .bmp, "
-                           ".tga)");
+    return bad_input(path,
+                     "holds neither a dataset (0000.json) nor a picture (.png, .jpg, .bmp, "
+                     ".tga)");
   std::sort(files.begin(), files.end());
   return files;
 }
@@ -145,12 +146,11 @@ Result<std::optional<std::string>> check(const Player& player, const Graph& grap
 Result<Json> psnr_against(const std::string& path, const Picture& input, const Picture& result) {
   SHALE_TRY(const Picture reference, load_picture(path));
   if (reference.width != result.width || reference.height != result.height)
-    return bad_input(path, "has {}x{} pixels, the result {}x{}", reference.width,
-                     reference.height, result.width, result.height);
-  return Json{
-      {"nearest", psnr_db(upscale_nearest(input, result.width, result.height), reference)},
-      {"lanczos", psnr_db(upscale_lanczos(input, result.width, result.height), reference)},
-      {"result", psnr_db(result, reference)}};
+    return bad_input(path, "has {}x{} pixels, the result {}x{}", reference.width, reference.height,
+                     result.width, result.height);
+  return Json{{"nearest", psnr_db(upscale_nearest(input, result.width, result.height), reference)},
+              {"lanczos", psnr_db(upscale_lanczos(input, result.width, result.height), reference)},
+              {"result", psnr_db(result, reference)}};
 }
 
 void print(const Json& json, const std::vector<DispatchTime>& median, size_t measured) {
@@ -218,8 +218,8 @@ Result<int> play(const Arguments& arguments) {
             load_sandwich(arguments.model, arguments.compile, render_size, output_size));
   if (kind == SourceKind::kScene) {
     SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package));
-    SHALE_TRY(source, open_scene(arguments.input, arguments.source, device, sizes.first,
-                                 sizes.second));
+    SHALE_TRY(source,
+              open_scene(arguments.input, arguments.source, device, sizes.first, sizes.second));
   }
   if (arguments.check && !sandwich.graph)
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);
@@ -258,10 +258,8 @@ Result<int> play(const Arguments& arguments) {
       const std::string output =
           to_folder ? (fs::path(arguments.output) / (stem + ".png")).string() : arguments.output;
       SHALE_TRY_VOID(save_png(output, result));
-      Json entry{{"input", label},
-                 {"output", output},
-                 {"width", result.width},
-                 {"height", result.height}};
+      Json entry{
+          {"input", label}, {"output", output}, {"width", result.width}, {"height", result.height}};
       if (!arguments.animation.empty()) shown.push_back(encode_png(result));
       if (!arguments.debug_view.empty()) {
         SHALE_TRY(std::vector<Panel> panels, player->views());
@@ -281,9 +279,8 @@ Result<int> play(const Arguments& arguments) {
       }
       const bool compares = !arguments.reference.empty() || !arguments.compare.empty();
       if (compares && i == 0) {
-        const Picture input = to_picture(player->is_display()
-                                             ? frame.color
-                                             : display_image(frame.color, frame.camera.exposure));
+        const Picture input = to_picture(
+            player->is_display() ? frame.color : display_image(frame.color, frame.camera.exposure));
         if (!arguments.reference.empty()) {
           SHALE_TRY(entry["psnr_db"], psnr_against(arguments.reference, input, result));
         }
@@ -344,7 +341,8 @@ Action add_play(CLI::App& app) {
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
-      "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames 8 "
+      "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames "
+      "8 "
       "--profile\n"
       "Example: shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
       "panels.png");

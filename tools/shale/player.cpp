@@ -38,8 +38,7 @@ float read_channel(const uint8_t* texel, ImageFormat format, uint32_t channel) {
     case ImageFormat::kRgba8Unorm:
     case ImageFormat::kRg8Unorm:
     case ImageFormat::kR8Unorm: return static_cast<float>(texel[channel]) / 255;
-    case ImageFormat::kRgba8Snorm:
-      return std::max(static_cast<float>(load(int8_t{})) / 127, -1.0f);
+    case ImageFormat::kRgba8Snorm: return std::max(static_cast<float>(load(int8_t{})) / 127, -1.0f);
     case ImageFormat::kRgba16Float:
     case ImageFormat::kRg16Float:
     case ImageFormat::kR16Float: {
@@ -161,8 +160,8 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
 
 Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package) {
   const vk::Context& context = device.context();
-  SHALE_TRY(FrameLoop loop, FrameLoop::create(context, package,
-                                              {.frames_in_flight = 1, .cache = device.cache()}));
+  SHALE_TRY(FrameLoop loop,
+            FrameLoop::create(context, package, {.frames_in_flight = 1, .cache = device.cache()}));
   SHALE_TRY_VOID(sandwich_sizes(package));
   auto player = std::unique_ptr<Player>(new Player(context, std::move(loop)));
   SHALE_TRY_VOID(player->make_images());
@@ -174,13 +173,14 @@ Result<void> Player::make_images() {
   for (const Resource& resource : loop_.variant().resources) {
     const bool is_input = resource.category == Category::kImageInput;
     if (!is_input && resource.category != Category::kImageOutput) continue;
-    const bool known = is_input ? resource.name == "color" || resource.name == "depth" ||
-                                      resource.name == "motion"
-                                : resource.name == "output";
+    const bool known =
+        is_input ? resource.name == "color" || resource.name == "depth" || resource.name == "motion"
+                 : resource.name == "output";
     if (!known)
-      return unsupported("image \"" + resource.name + "\"",
-                         "is none of those that this program fills and shows: color, depth, motion, "
-                         "output");
+      return unsupported(
+          "image \"" + resource.name + "\"",
+          "is none of those that this program fills and shows: color, depth, motion, "
+          "output");
     const VkImageUsageFlags usage =
         is_input ? VK_IMAGE_USAGE_SAMPLED_BIT : VK_IMAGE_USAGE_STORAGE_BIT;
     HostImage host{&resource, {}, {}};
@@ -191,9 +191,8 @@ Result<void> Player::make_images() {
                   context_, (image_bytes(resource) + 3) / 4 * 4,
                   is_input ? VK_BUFFER_USAGE_TRANSFER_SRC_BIT : VK_BUFFER_USAGE_TRANSFER_DST_BIT,
                   is_input ? vk::MemoryKind::kUpload : vk::MemoryKind::kReadback));
-    SHALE_TRY_VOID(loop_.bind_image(resource.name, {host.image.view(),
-                                                    vk::vk_format(resource.format),
-                                                    host.image.extent()}));
+    SHALE_TRY_VOID(loop_.bind_image(
+        resource.name, {host.image.view(), vk::vk_format(resource.format), host.image.extent()}));
     auto barrier = vk::init<VkImageMemoryBarrier>(VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER);
     barrier.oldLayout = VK_IMAGE_LAYOUT_UNDEFINED;
     barrier.newLayout = VK_IMAGE_LAYOUT_GENERAL;
@@ -378,14 +377,16 @@ Result<FloatImage> Player::read(const std::string& name, bool real) const {
   const Shape& shape = tensor.type.shape;
   if (shape.size() != 4 || shape[0] != 1)
     return bad_input("", "tensor \"{}\" is not NHWC with one batch", name);
-  FloatImage result{static_cast<uint32_t>(shape[2]), static_cast<uint32_t>(shape[1]),
-                    static_cast<uint32_t>(shape[3]), {}};
-  const Quantization quantization = real ? wanted->quantization.value_or(Quantization{})
-                                         : Quantization{};
+  FloatImage result{static_cast<uint32_t>(shape[2]),
+                    static_cast<uint32_t>(shape[1]),
+                    static_cast<uint32_t>(shape[3]),
+                    {}};
+  const Quantization quantization =
+      real ? wanted->quantization.value_or(Quantization{}) : Quantization{};
   result.values.reserve(static_cast<size_t>(tensor.count()));
   for (int64_t i = 0; i < tensor.count(); ++i)
-    result.values.push_back(
-        quantization.scale * static_cast<float>(tensor.get(i) - quantization.zero_point));
+    result.values.push_back(quantization.scale *
+                            static_cast<float>(tensor.get(i) - quantization.zero_point));
   return result;
 }
 

@@ -77,8 +77,7 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
     return bad_input(file, "has {} frames, there is no number {}", all, arguments.first);
   const uint32_t left = all - arguments.first;
   const uint32_t count = arguments.frames == 0 ? left : std::min(left, arguments.frames);
-  return std::unique_ptr<FrameSource>(
-      new SliceSource(std::move(source), arguments.first, count));
+  return std::unique_ptr<FrameSource>(new SliceSource(std::move(source), arguments.first, count));
 }
 
 Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,

@@ -7,9 +7,9 @@ then held while the INT8 arithmetic is faked. Sequences are a function of (seed,
 the same bits, given the same machine and thread count. AdamW, cosine rate, 5 % warm-up.
 
 Loss per frame, on display pictures d(x) = sqrt(x / (1 + x)) of exposed colour, E = d(prediction) - d(truth):
-lerp(L_T, L_S, w) + 0.1 mean|E of the filtered colour| (0.5 on frame 0) + 0.002 mean (theta - 1)^2 where nothing is
-disoccluded; L_S = mean|E| + 4 mean E^2 + 0.5 mean|gradient of E|; L_T = mean(exp(4 |E_t - warp(E_t-1)|) - 1) / 4; w
-from .6 to .9 over the frames.
+w L_S + (1 - w) stability L_T + 0.1 mean|E of the filtered colour| (0.5 on frame 0) + 0.002 mean (theta - 1)^2 where
+nothing is disoccluded; L_S = mean|E| + 4 mean E^2 + 0.25 (mean|dE/dx| + mean|dE/dy|);
+L_T = mean(exp(4 |E_t - warp(E_t-1)|) - 1) / 4 with E_t-1 held; w from .6 to .9 over the frames.
 Source: NSS notes 5. Ours: the gradient and square terms in place of LPIPS (no weights of it are at hand), the display
 curve, the smaller weights, the chunks.
 
@@ -104,8 +104,8 @@ def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
 class Rollout:
     """The network through the frames of a sequence."""
 
-    def __init__(self, model: nss.Nss, sequence: nss_data.Sequence, frames: int):
-        self.model, self.sequence, self.frames = model, sequence, frames
+    def __init__(self, model: nss.Nss, sequence: nss_data.Sequence, frames: int, stability: float = 1.0):
+        self.model, self.sequence, self.frames, self.stability = model, sequence, frames, stability
         self.state: passes.State | None = None
         self.error: torch.Tensor | None = None
         self.squares: list[float] = []
@@ -128,7 +128,7 @@ class Rollout:
             w = frame_weight(t, self.frames)
             change = error - warp(self.error, self.sequence.truth_motion(t))
             temporal = torch.expm1(4.0 * change.abs().clamp(max=1.0)).mean() / 4.0
-            loss = w * loss + (1.0 - w) * temporal + 0.1 * filtered
+            loss = w * loss + self.stability * (1.0 - w) * temporal + 0.1 * filtered
             if mode.generation:
                 known = passes.bilinear((before.disocclusion < 0.01).float(),
                                         passes.uv_grid(*output, error).expand(len(error), -1, -1, -1))
@@ -185,14 +185,14 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     model = model.to(memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in ("mode", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
-                                                     "qat")}
-    record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0)
+                                                     "qat", "stability")}
+    record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
     path, start = options.out / "last.pt", 0
     if options.resume:
         state = load_checkpoint(path)
         for key, value in record.items():
-            if key not in ("seconds", "starts_from", "earlier") and state["record"].get(key) != value:
+            if key not in ("seconds", "done", "starts_from", "earlier") and state["record"].get(key) != value:
                 raise ValueError(f"{path}: checkpoint has {key} {state['record'].get(key)}, the run asks {value}")
         model.load_state_dict(state["model"])
         optimizer.load_state_dict(state["optimizer"])
@@ -209,7 +209,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     spent, began, mean = record["seconds"], time.monotonic(), None
 
     def state_at(step: int) -> dict:
-        record["seconds"] = round(spent + time.monotonic() - began, 1)
+        record["seconds"], record["done"] = round(spent + time.monotonic() - began, 1), step
         return {"model": model.state_dict(), "optimizer": optimizer.state_dict(), "step": step, "record": record,
                 "ranges": model.ranges}
 
@@ -218,7 +218,8 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         while step < end and not interruption.asked:
             rng = np.random.default_rng([options.seed, step])
             rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                                   device=options.device, full=FULL), options.frames)
+                                                   device=options.device, full=FULL), options.frames,
+                              options.stability)
             for first in range(0, options.frames, options.chunk):
                 for group in optimizer.param_groups:
                     group["lr"] = learning_rate(options.lr, step + first / options.frames, options.steps)
@@ -261,6 +262,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lr", type=float, default=1e-3, help="highest learning rate (default: 0.001)")
     parser.add_argument("--qat", action="store_true", help="fake the INT8 arithmetic; needs --init")
+    parser.add_argument("--stability", type=float, default=1.0, help="factor on the temporal loss (default: 1)")
     parser.add_argument("--init", type=Path, help="checkpoint or weights to start from, of any mode")
     parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
     parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
