@@ -226,16 +226,13 @@ Result<void> DatasetSource::parse(const std::string& text, const std::string& ra
     camera.reverse_depth = reverse;
     // Nothing is continued from before a sequence.
     camera.cut = camera.cut || cameras_.empty();
-    SHALE_TRY(const int64_t number, frame.integer("Frame", 0, 10 * int64_t{kMaxFrames},
-                                                  static_cast<int64_t>(cameras_.size())));
     cameras_.push_back(camera);
-    numbers_.push_back(static_cast<uint32_t>(number));
   }
   return {};
 }
 
 std::string DatasetSource::picture(const char* folder, uint32_t index) const {
-  return (fs::path(root_) / folder / name_ / (number_text(numbers_[index]) + ".exr")).string();
+  return (fs::path(root_) / folder / name_ / (number_text(index) + ".exr")).string();
 }
 
 Result<SourceFrame> DatasetSource::frame(uint32_t index, bool with_truth) {

@@ -51,7 +51,8 @@ class DatasetWriter {
   std::vector<FrameCamera> cameras_;
 };
 
-/// A sequence on disk. Files come from anywhere and are checked.
+/// A sequence on disk. Files come from anywhere and are checked. The pictures of the n-th entry of
+/// "Frames", from 0, are called n, whatever its own number.
 class DatasetSource : public FrameSource {
  public:
   /// `json_path` is ROOT/NNNN.json. `ratio` is a folder such as "x2"; empty takes the first that
@@ -77,7 +78,6 @@ class DatasetSource : public FrameSource {
   Extent render_, output_;
   double frame_rate_ = 30;
   std::vector<FrameCamera> cameras_;
-  std::vector<uint32_t> numbers_;  ///< of the frames' files
 };
 
 /// Paths of the sequences of a dataset, in order of their names.

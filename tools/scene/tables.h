@@ -53,6 +53,8 @@ struct FrameBlock {
   Int4 bases;  ///< first texel of materials and particles; overlays; still sky
 };
 
+static_assert(sizeof(FrameBlock) % sizeof(Float4) == 0);
+
 struct FrameTables {
   FrameBlock block;
   std::vector<Float4> texels;
