@@ -9,7 +9,9 @@
 // a view z of 1, so a ray's parameter is the view z. Positions are relative to the eye.
 //
 // CPU drivers run both sides of every branch; so patterns are computed without branches where that
-// is not much, and features that a scene lacks are cut off by specialization.
+// is not much, and features that a scene lacks are cut off by specialization. No branch or loop hangs
+// on uniforms alone: lavapipe would make their values constants, and compile the shader again for
+// every submission.
 layout(local_size_x = 64) in;
 
 // One bit for each kind of pattern and of cutout that the scene uses.
@@ -17,7 +19,7 @@ layout(constant_id = 0) const uint kPatterns = 0xFFFFFFFFu;
 layout(constant_id = 1) const uint kCutouts = 0xFFFFFFFFu;
 layout(constant_id = 2) const bool kHasRoundCutouts = true;
 layout(constant_id = 3) const bool kHasParticles = true;
-layout(constant_id = 4) const bool kHasOverlays = true;
+layout(constant_id = 4) const int kOverlays = 4;
 layout(constant_id = 5) const bool kHasLights = true;
 layout(constant_id = 6) const bool kHasClouds = true;
 
@@ -402,7 +404,7 @@ Sample look(vec2 position) {
   }
   vec2 uv_was = vec2(0.5, -0.5) * was.xy / max(was.z, 1e-6) + 0.5;
   vec2 motion = clamp(position * frame.size.zw - uv_was, vec2(-2.0), vec2(2.0));
-  bool still = sky ? frame.bases.w != 0 : (material & 0x100u) != 0u;
+  bool still = mix((material & 0x100u) != 0u, frame.bases.w != 0, sky);
   if (still) motion = vec2(0.0);
 
   // Surface.
@@ -469,8 +471,8 @@ Sample look(vec2 position) {
       color = color * (1.0 - glow.w * strength) + glow.rgb * strength;
     }
   }
-  if (kHasOverlays) {
-    for (int i = 0; i < frame.bases.z; ++i) {
+  if (kOverlays > 0) {
+    for (int i = 0; i < kOverlays; ++i) {
       vec4 rect = frame.overlays[4 * i], ink = frame.overlays[4 * i + 1];
       vec4 back = frame.overlays[4 * i + 2], text = frame.overlays[4 * i + 3];
       vec2 q = (position * frame.size.zw - rect.xy) / rect.zw;
@@ -492,28 +494,25 @@ void main() {
   pixel += ivec2(gl_WorkGroupID.xy) * 8 + ivec2(0, push.first_row);
   bool inside = pixel.x < push.extent.x && pixel.y < push.end_row;
   int count = inside ? push.samples * push.samples : 0;
-  float step = 1.0 / float(push.samples);
+  float spacing = 1.0 / float(push.samples);
   float exposure = frame.ambient.w;
   vec3 sum = vec3(0.0);
   Sample seen = Sample(vec3(0.0), 2.0 * kFar, vec2(0.0));
   for (int k = 0; k < count; ++k) {
-    vec2 sub = (vec2(k % push.samples, k / push.samples) + 0.5) * step;
+    vec2 sub = (vec2(k % push.samples, k / push.samples) + 0.5) * spacing;
     Sample s = look((vec2(pixel + push.origin) + sub + push.jitter) * push.scale);
     vec3 exposed = s.color * exposure;
     sum += exposed / (1.0 + max(max(exposed.r, exposed.g), exposed.b));
     if (s.z < seen.z) seen = s;
   }
   if (!inside) return;
-  vec3 color = seen.color;
-  if (push.samples > 1) {
-    sum *= step * step;
-    float most = min(max(max(sum.r, sum.g), sum.b), 1.0 - 1e-7);
-    color = sum / ((1.0 - most) * exposure);
-  }
+  sum *= spacing * spacing;
+  float most = min(max(max(sum.r, sum.g), sum.b), 1.0 - 1e-7);
+  vec3 color = mix(seen.color, sum / ((1.0 - most) * exposure), bvec3(push.samples > 1));
   bool sky = seen.z >= frame.depth.y;
   // Below infinity: what is nearer than the far plane is at most there.
   float depth = clamp(frame.depth.z + frame.depth.w / seen.z, 0.0, 1.0);
-  if (sky) depth = frame.depth.w < 0.0 ? 1.0 : 0.0;
+  depth = mix(depth, step(frame.depth.w, 0.0), sky);
   int at = 6 * ((pixel.y - push.first_row) * push.extent.x + pixel.x);
   result.values[at] = color.r;
   result.values[at + 1] = color.g;

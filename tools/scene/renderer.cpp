@@ -204,7 +204,7 @@ class SceneRenderer::Impl {
                                            cutouts,
                                            round_cutouts,
                                            !scene.emitters.empty(),
-                                           !scene.overlays.empty(),
+                                           static_cast<uint32_t>(scene.overlays.size()),
                                            !scene.lights.empty(),
                                            scene.sky.clouds > 0 || scene.sky.stars > 0};
     std::array<VkSpecializationMapEntry, features.size()> entries{};

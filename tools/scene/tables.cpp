@@ -191,12 +191,13 @@ class Tables {
       b.lights[2 * i] = float4(at, 1 / (light.range * light.range));
       b.lights[2 * i + 1] = float4(light.color, 0);
     }
-    int32_t overlays = 0;
     for (Float4& value : b.overlays) value = {};
     for (size_t i = 0; i < scene_.overlays.size(); ++i) {
       const Overlay& o = scene_.overlays[i];
-      if (poses_.frame < o.first || poses_.frame > o.last) continue;
-      Float4* at = &b.overlays[4 * static_cast<size_t>(overlays++)];
+      Float4* at = &b.overlays[4 * i];
+      // Without size nothing is inside.
+      if (poses_.frame < o.first || poses_.frame > o.last || o.width == 0 || o.height == 0)
+        continue;
       at[0] = {static_cast<float>(o.x), static_cast<float>(o.y), static_cast<float>(o.width),
                static_cast<float>(o.height)};
       at[1] = float4(o.color, o.rows);
@@ -205,7 +206,7 @@ class Tables {
                static_cast<float>(o.width * w / (o.height * h)),
                number(scene_hash(scene_.seed, 0x60000000u + static_cast<uint32_t>(i)) >> 8), 0};
     }
-    b.bases = {0, 0, overlays, same_view() ? 1 : 0};
+    b.bases = {0, 0, 0, same_view() ? 1 : 0};
   }
 
   bool same_view() const { return poses_.camera == poses_.camera_was; }

@@ -50,7 +50,7 @@ struct FrameBlock {
        kMaxOverlays];  ///< rectangle in uv; colour, rows; background, opacity; scroll, aspect, seed
   Int4 grid;           ///< columns, rows, first texel of the table
   Int4 tiles;  ///< columns, rows, first texel of the table, log2 of the side in output pixels
-  Int4 bases;  ///< first texel of materials and particles; overlays; still sky
+  Int4 bases;  ///< first texel of materials and of particles; unused; 1 if the view stands still
 };
 
 static_assert(sizeof(FrameBlock) % sizeof(Float4) == 0);
