@@ -7,9 +7,11 @@
 #include <set>
 
 #include "compiler/cost/cost.h"
+#include "compiler/driver/parallel.h"
 #include "compiler/frontend/frontend.h"
 #include "compiler/memory/planner.h"
 #include "compiler/spirv/check.h"
+#include "compiler/spirv/forward.h"
 #include "compiler/spirv/glsl.h"
 #include "ir/base/hash.h"
 
@@ -125,48 +127,104 @@ class VariantBuilder {
         id, graph_.value(id).is_constant() ? Category::kWeights : Category::kIntermediate);
   }
 
-  Result<uint32_t> add_module(const KernelSource& source, const Defines& defines, bool optimize,
-                              const std::string& where, const IncludeLoader& load = {}) {
-    std::string key = source.glsl;
-    for (const auto& [name, value] : defines) key += "\n" + name + "=" + value;
-    if (const auto found = module_of_source_.find(key); found != module_of_source_.end())
-      return found->second;
-    SHALE_TRY(Spirv words, compile_glsl(source.glsl, defines, where, load));
-    if (optimize && options_.optimize_spirv) {
-      SHALE_TRY(words, optimize_spirv(words, where));
+  /// A source as SPIR-V, and what it asks of the device. May run on any thread.
+  struct Module {
+    Spirv words;
+    SpirvNeeds needs;
+  };
+  Result<Module> build_module(const KernelSource& source, const Defines& defines,
+                              const std::string& where, const IncludeLoader& load = {}) const {
+    Module module;
+    SHALE_TRY(module.words, compile_glsl(source.glsl, defines, where, load));
+    if (source.is_literal) {
+      module.words = forward_locals(module.words);
+    } else if (options_.optimize_spirv) {
+      SHALE_TRY(module.words, optimize_spirv(module.words, where));
     }
-    SHALE_TRY_VOID(validate_spirv(words, where));
-    SHALE_TRY(const SpirvNeeds needs, spirv_needs(words, where));
+    SHALE_TRY_VOID(validate_spirv(module.words, where));
+    SHALE_TRY(module.needs, spirv_needs(module.words, where));
+    return module;
+  }
+
+  /// Equal modules lie in the package once.
+  uint32_t add_module(Module module) {
     Requirements& all = variant_.requirements;
-    all.features.bits |= needs.features.bits;
-    all.workgroup_invocations = std::max(all.workgroup_invocations, needs.workgroup_invocations);
-    const auto same = std::find(variant_.modules.begin(), variant_.modules.end(), words);
+    all.features.bits |= module.needs.features.bits;
+    all.workgroup_invocations =
+        std::max(all.workgroup_invocations, module.needs.workgroup_invocations);
+    const auto same = std::find(variant_.modules.begin(), variant_.modules.end(), module.words);
     const uint32_t index = static_cast<uint32_t>(same - variant_.modules.begin());
-    if (same == variant_.modules.end()) variant_.modules.push_back(std::move(words));
-    module_of_source_.emplace(std::move(key), index);
+    if (same == variant_.modules.end()) variant_.modules.push_back(std::move(module.words));
     return index;
+  }
+
+  /// A group's dispatches before they are put into the package.
+  struct Emitted {
+    const KernelFamily* family = nullptr;
+    double time_us = 0;
+    std::vector<KernelSource> sources;
+    std::vector<std::string> names;
+    std::vector<size_t> modules;  ///< indices of unique sources
+  };
+
+  Result<Emitted> emit_group(const GroupProblem& problem) const {
+    Emitted emitted;
+    emitted.family = &select_kernel(problem, profile_, options_.kernels);
+    SHALE_TRY(emitted.sources, emitted.family->emit(problem, profile_));
+    emitted.time_us = emitted.family->time_us(problem, profile_);
+    const std::string& name = graph_.value(problem.group.result).name;
+    for (size_t part = 0; part < emitted.sources.size(); ++part) {
+      std::string& own =
+          emitted.names.emplace_back(part == 0 ? name : fmt::format("{}#{}", name, part));
+      while (part > 0 && graph_.find_value(own)) own += '#';  // a value may be called so
+    }
+    return emitted;
   }
 
   Result<void> add_graph() {
     Segment segment;
     segment.name = "graph";
     segment.kind = SegmentKind::kGraph;
-    for (size_t i = 0; i < problems_.size(); ++i) {
+    // Emitting and compiling run on all cores, and equal sources are compiled once; the package is put
+    // together in the graph's order, so that the same model gives the same bytes.
+    std::vector<Result<Emitted>> groups(problems_.size(), Emitted{});
+    parallel_for(groups.size(), [&](size_t i) { groups[i] = emit_group(problems_[i]); });
+    std::map<std::string_view, size_t> module_of_source;
+    std::vector<std::pair<const KernelSource*, const std::string*>> unique;
+    for (Result<Emitted>& group : groups) {
+      if (!group) return group.error();
+      for (size_t part = 0; part < group->sources.size(); ++part) {
+        const auto [entry, is_new] =
+            module_of_source.try_emplace(group->sources[part].glsl, unique.size());
+        if (is_new) unique.emplace_back(&group->sources[part], &group->names[part]);
+        group->modules.push_back(entry->second);
+      }
+    }
+    std::vector<Result<Module>> modules(unique.size(), Module{});
+    const auto proceed = [&](size_t done) {
+      return !options_.progress || options_.progress(done, unique.size());
+    };
+    if (!parallel_for(
+            unique.size(),
+            [&](size_t i) { modules[i] = build_module(*unique[i].first, {}, *unique[i].second); },
+            proceed))
+      return bad_input("", "interrupted");
+    std::vector<uint32_t> indices;
+    for (Result<Module>& module : modules) {
+      if (!module) return module.error();
+      indices.push_back(add_module(*std::move(module)));
+    }
+    for (size_t i = 0; i < groups.size(); ++i) {
       const GroupProblem& problem = problems_[i];
-      const std::string& name = graph_.value(problem.group.result).name;
-      const KernelFamily& family = select_kernel(problem, profile_, options_.kernels);
-      SHALE_TRY(const std::vector<KernelSource> sources, family.emit(problem, profile_));
-      const double time_us = family.time_us(problem, profile_);
-      for (size_t part = 0; part < sources.size(); ++part) {
-        const KernelSource& source = sources[part];
+      const Emitted& group = *groups[i];
+      for (size_t part = 0; part < group.sources.size(); ++part) {
+        const KernelSource& source = group.sources[part];
         Dispatch dispatch;
-        dispatch.name = part == 0 ? name : fmt::format("{}#{}", name, part);
-        while (part > 0 && graph_.find_value(dispatch.name))
-          dispatch.name += '#';  // a value may be called so
-        dispatch.kernel = family.name;
+        dispatch.name = group.names[part];
+        dispatch.kernel = group.family->name;
         dispatch.workgroups = source.workgroups;
-        dispatch.cost = share(problem.cost, time_us, sources.size());
-        SHALE_TRY(dispatch.module, add_module(source, {}, source.optimize, dispatch.name));
+        dispatch.cost = share(problem.cost, group.time_us, group.sources.size());
+        dispatch.module = indices[group.modules[part]];
         for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
           const KernelBinding& from = source.bindings[binding];
           const bool is_texels = from.type == BindingType::kUniformTexelBuffer;
@@ -184,8 +242,6 @@ class VariantBuilder {
         segment.dispatches.push_back(std::move(dispatch));
       }
       if (problem.proof) variant_.proofs.push_back(*problem.proof);
-      if (options_.progress && !options_.progress(i + 1, problems_.size()))
-        return bad_input("", "interrupted");
     }
     variant_.segments.push_back(std::move(segment));
     return {};
@@ -365,10 +421,11 @@ class VariantBuilder {
     defines.insert(defines.end(), pass.defines.begin(), pass.defines.end());
     // Includes lie beside the shader.
     const std::string folder = pass.shader.substr(0, pass.shader.rfind('/') + 1);
-    SHALE_TRY(dispatch.module,
-              add_module(source, defines, true, pass.shader, [&](const std::string& name) {
+    SHALE_TRY(Module module,
+              build_module(source, defines, pass.shader, [&](const std::string& name) {
                 return options_.load_shader(folder + name);
               }));
+    dispatch.module = add_module(std::move(module));
     Segment segment;
     segment.name = pass.name;
     segment.kind = SegmentKind::kCompute;
@@ -396,7 +453,6 @@ class VariantBuilder {
   Variant variant_;
   std::map<ValueId, uint32_t> resource_of_;
   std::map<ValueId, LiveInterval> live_;
-  std::map<std::string, uint32_t> module_of_source_;
   size_t dispatch_count_ = 0;
   uint64_t lower_bound_ = 0;
 };

@@ -199,8 +199,14 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
       const auto entry = [&](const std::string& index) {
         return load(node.inputs[1], {{index}, {}});
       };
-      if (value(node.inputs[0]).type.dtype == DType::kInt8)
+      if (value(node.inputs[0]).type.dtype == DType::kInt8) {
+        if (texel_tables_ && value(node.inputs[1]).is_constant())
+          return fmt::format(
+              "texelFetch(t{}, {} + 128).x",
+              bind(node.inputs[1], BindingType::kUniformTexelBuffer, ImageFormat::kR8Sint, false),
+              a);
         return entry(fmt::format("{} + 128", a));
+      }
       const std::string low = entry(fmt::format("({} >> 7) + 256", a));
       const std::string high = entry(fmt::format("({} >> 7) + 257", a));
       return fmt::format("({0} * 128 + ({1} - {0}) * ({2} & 127))", low, high, a);
@@ -221,9 +227,14 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
       std::string v = in_unsigned ? fmt::format("({} & {})", a, (1 << dtype_info(in).bits) - 1) : a;
       if (in_zp != 0) v = fmt::format("({} - {})", v, literal(in_zp));
       const bool double_round = node.attrs.get(Attr::kRoundingMode) == kDoubleRound;
-      std::string r = in == DType::kInt48
-                          ? fmt::format("apply_scale_48({}, {}, {})", v, m, s)
-                          : fmt::format("scale_round({}, {}, {}, {})", v, m, s, double_round);
+      const std::optional<int64_t> shift = as_number(s);
+      std::string r;
+      if (in == DType::kInt48)
+        r = fmt::format("apply_scale_48({}, {}, {})", v, m, s);
+      else if (shift && *shift > 32 && !double_round)
+        r = fmt::format("scale_high({}, {}, {})", v, m, *shift - 32);
+      else
+        r = fmt::format("scale_round({}, {}, {}, {})", v, m, s, double_round);
       if (out_zp != 0) r = fmt::format("({} + {})", r, literal(out_zp));
       if (out == DType::kInt32) return r;
       const IntRange range = dtype_range(out);
@@ -327,16 +338,18 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
   text += fmt::format("\nlayout({}) in;\n\n", local_size);
   for (size_t i = 0; i < bindings_.size(); ++i) {
     const KernelBinding& binding = bindings_[i];
-    if (binding.type == BindingType::kUniformTexelBuffer) {
-      text += fmt::format("layout(set = 0, binding = {0}) uniform isamplerBuffer t{0};\n", i);
-    } else {
-      const bool words = binding.type == BindingType::kStorageBuffer &&
-                         binding.view_format == ImageFormat::kRgba8Sint;
+    const bool words = binding.view_format == ImageFormat::kR32Uint,
+               quads = binding.view_format == ImageFormat::kRgba32Uint;
+    if (binding.type == BindingType::kUniformTexelBuffer)
+      text += fmt::format("layout(set = 0, binding = {0}) uniform {1}samplerBuffer t{0};\n", i,
+                          words || quads ? 'u' : 'i');
+    else
       text += fmt::format(
           "layout(set = 0, binding = {0}, std430) {1} buffer B{0} {{ {2} d[]; }} b{0};\n", i,
           binding.writes ? "writeonly" : "readonly",
-          words ? "uint" : memory_type(value(binding.value).type.dtype));
-    }
+          quads   ? "uvec4"
+          : words ? "uint"
+                  : memory_type(value(binding.value).type.dtype));
   }
   return text + "\n" + functions_ + "void main() {\n" + body + "}\n";
 }

@@ -55,6 +55,8 @@ class Codegen {
 
   std::vector<KernelBinding> bindings() const { return bindings_; }
   void use_int64() { int64_ = true; }
+  /// Reads constant int8 tables through texel buffers, which CPU drivers do for all lanes at once.
+  void read_tables_as_texels() { texel_tables_ = true; }
   /// A declaration to appear before main.
   void add_function(std::string text) { functions_ += std::move(text); }
 
@@ -79,6 +81,7 @@ class Codegen {
   std::map<ValueId, std::string> view_functions_;
   std::string functions_;
   bool int64_ = false;
+  bool texel_tables_ = false;
 };
 
 }  // namespace shale

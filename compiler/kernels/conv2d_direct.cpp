@@ -1,416 +1,251 @@
-// conv2d_s8_f32exact and conv2d_s8_i32: direct convolution with the weights as literals in the
-// code.
+// conv2d_s8_f32exact, conv2d_s8_phase and conv2d_s8_i32: sums of products with the weights as
+// literals in the code.
 //
 // Meaning of a workgroup: a strip of 64 tiles of output pixels; one invocation makes all output
-// channels of one tile (of the module's slice of channels), kPass sums at a time in registers. A
-// tile is one pixel where there are kPass channels; with fewer it is as many pixels as fill kPass
-// sums, so that neighbours share their fetches. Input by texel fetches, four channels each where
-// the layout allows. Source: ours; figures in compiler/kernels/README.md.
+// channels of one tile (of the module's slice of channels), 16 sums at a time in registers. Source:
+// ours; figures in compiler/kernels/README.md.
 //
-// f32exact sums int8 products in float32, exact while every partial sum stays below 2^24; the range
-// proof of the actual weights decides. The bias is added as an integer afterwards, so it does not
-// count. i32 is the same in int32 arithmetic and needs no proof: TOSA's legal results wrap back
-// into range.
+// f32exact sums in float32, exact while every partial sum stays below 2^24; the range proof of the
+// actual weights decides. The bias is added as an integer afterwards, so it does not count. i32 is
+// the same in int32 arithmetic and needs no proof: TOSA's legal results wrap back into range.
+//
+// phase is for a convolution over a nearest upsampling: the output pixels over one source texel see only a few source texels, and taps that fall on the same texel share one weight,
+// their sum. 3x3 over x2 has 4 products in place of 9. An exact rewrite: integers are added in
+// another order, and the largest partial sum is no larger than before.
 #include <algorithm>
-#include <set>
+#include <map>
 
-#include "compiler/kernels/codegen.h"
+#include "compiler/kernels/literal_conv.h"
 
 namespace shale {
 namespace {
 
-constexpr int64_t kFloatExact = int64_t{1} << 24;
-constexpr int64_t kPass = 16;  ///< sums kept live
 /// Most products in a module: bounds the driver's compile time, which grows faster than the code,
 /// and in integer arithmetic much faster (16,500 integer products took it six minutes).
-constexpr int64_t kFloatProducts = 9216, kIntegerProducts = 4608;
+constexpr int64_t kFloatProducts = 40960, kIntegerProducts = 4608;
 constexpr int64_t kMaxModules = 64;
-constexpr int64_t kLocalX = 64;
+constexpr int64_t kMaxUpsampling = 4;
 
-const Node& head_of(const GroupProblem& problem) {
-  return problem.graph->node(*problem.group.head);
+/// The tap that makes output pixel `out` read input offset `in` along an axis, or nothing.
+std::optional<int64_t> tap(int64_t in, int64_t out, int64_t stride, int64_t dilation,
+                           int64_t taps) {
+  const int64_t distance = in - out * stride;
+  if (distance < 0 || distance % dilation != 0 || distance / dilation >= taps) return std::nullopt;
+  return distance / dilation;
 }
 
-/// Channels of every tensor that the convolution reads through its folded views; empty if a view is
-/// one that this kernel does not take (a pad of batch or channels, a concat of another axis).
-std::vector<int64_t> leaf_channels(const GroupProblem& problem, ValueId id,
-                                   const std::vector<std::optional<NodeId>>& producers) {
-  const Graph& graph = *problem.graph;
-  const std::optional<NodeId> producer = producers[id.index];
-  if (!producer || !problem.group.contains(*producer)) return {graph.value(id).type.shape[3]};
-  const Node& node = graph.node(*producer);
-  std::vector<int64_t> leaves;
-  if (node.op == Op::kPad) {
-    const std::vector<int64_t> padding = graph.value(node.inputs[1]).constant->ints();
-    for (const size_t i : {0u, 1u, 6u, 7u})
-      if (padding[i] != 0) return {};
-    if (!graph.value(node.inputs[2]).is_constant()) return {};
-  } else if (node.op == Op::kConcat) {
-    if (node.attrs.get(Attr::kAxis) != 3) return {};
-  } else if (node.op != Op::kResize) {
-    return {};
+/// Input offsets along an axis that any tap of any pixel of the tile reads, each once and in order:
+/// with a large stride or dilation they are few in a wide span.
+std::set<int64_t> offsets(int64_t pixels, int64_t stride, int64_t taps, int64_t dilation) {
+  std::set<int64_t> result;
+  for (int64_t pixel = 0; pixel < pixels; ++pixel)
+    for (int64_t tap = 0; tap < taps; ++tap) result.insert(pixel * stride + tap * dilation);
+  return result;
+}
+
+/// A tile is one pixel where there are many channels; with fewer it is as many pixels as fill the
+/// live sums, so that neighbours share their fetches.
+TapMap direct_map(const LiteralConv& conv, int64_t most_products) {
+  const Shape& taps = conv.weight_shape();
+  const int64_t channels = conv.out()[3];
+  TapMap map;
+  map.source = conv.node().inputs[0];
+  map.outside = conv.input_zero_point();
+  if (channels <= 8) {
+    map.tile_height = channels > 4 ? 1 : channels > 1 ? 2 : 4;
+    map.tile_width = channels > 2 ? 2 : 4;
+    if (map.tile_height * map.tile_width * channels * taps[1] * taps[2] * taps[3] > most_products)
+      map.tile_height = map.tile_width = 1;
   }
-  const size_t sources = node.op == Op::kConcat ? node.inputs.size() : 1;
-  for (size_t i = 0; i < sources; ++i) {
-    const std::vector<int64_t> own = leaf_channels(problem, node.inputs[i], producers);
-    if (own.empty()) return {};
-    leaves.insert(leaves.end(), own.begin(), own.end());
+  map.products_per_channel = map.tile_height * map.tile_width * taps[1] * taps[2] * taps[3];
+  const std::span<const int64_t> stride = conv.ints(Attr::kStride), pad = conv.ints(Attr::kPad),
+                                 dilation = conv.ints(Attr::kDilation);
+  map.step_y = map.tile_height * stride[0];
+  map.step_x = map.tile_width * stride[1];
+  std::vector<std::array<int64_t, 2>> from;  // without the padding
+  for (const int64_t row : offsets(map.tile_height, stride[0], taps[1], dilation[0]))
+    for (const int64_t column : offsets(map.tile_width, stride[1], taps[2], dilation[1])) {
+      from.push_back({row, column});
+      map.texels.push_back({row - pad[0], column - pad[2]});
+    }
+  map.weight = [&conv, from, stride, dilation, width = map.tile_width](
+                   int64_t pixel, size_t texel, int64_t oc, int64_t c) -> int64_t {
+    const Shape& shape = conv.weight_shape();
+    const auto ky = tap(from[texel][0], pixel / width, stride[0], dilation[0], shape[1]);
+    const auto kx = tap(from[texel][1], pixel % width, stride[1], dilation[1], shape[2]);
+    return ky && kx ? conv.weight(oc, *ky, *kx, c) : 0;
+  };
+  return map;
+}
+
+int64_t floor_div(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
+
+/// Factors f along both axes if the resize is nearest and reads floor(o / f), else nothing.
+std::optional<std::array<int64_t, 2>> upsampling(const Graph& graph, const Node& resize) {
+  const Shape& from = graph.value(resize.inputs[0]).type.shape;
+  const Shape& to = graph.value(resize.output).type.shape;
+  const std::vector<int64_t> scale = graph.value(resize.inputs[1]).constant->ints(),
+                             offset = graph.value(resize.inputs[2]).constant->ints();
+  std::array<int64_t, 2> factors{};
+  for (size_t axis = 0; axis < 2; ++axis) {
+    const int64_t size = from[axis + 1], n = scale[2 * axis], d = scale[2 * axis + 1];
+    const int64_t factor = factors[axis] = to[axis + 1] / size;
+    if (factor < 1 || factor > kMaxUpsampling || to[axis + 1] != factor * size) return std::nullopt;
+    for (int64_t o = 0; o < to[axis + 1]; ++o) {
+      const int64_t position = o * d + offset[axis], base = floor_div(position, n);
+      const int64_t nearest = base + (2 * (position - base * n) >= n);
+      if (std::clamp<int64_t>(nearest, 0, size - 1) != o / factor) return std::nullopt;
+    }
   }
-  return leaves;
+  return factors;
 }
 
-int64_t products_per_channel(const GroupProblem& problem) {
-  const Shape& weight = problem.graph->value(head_of(problem).inputs[1]).type.shape;
-  return weight[1] * weight[2] * weight[3];
-}
+/// The convolution over the operand of the upsampling before it, or nothing if there is none.
+std::optional<TapMap> phase_map(const LiteralConv& conv) {
+  const Graph& graph = conv.graph();
+  const std::span<const int64_t> stride = conv.ints(Attr::kStride),
+                                 dilation = conv.ints(Attr::kDilation),
+                                 own_pad = conv.ints(Attr::kPad);
+  if (stride[0] != 1 || stride[1] != 1 || dilation[0] != 1 || dilation[1] != 1) return std::nullopt;
+  std::array<int64_t, 2> pad{own_pad[0], own_pad[2]};
+  TapMap map;
+  map.outside = conv.input_zero_point();
+  const Node* view = conv.folded(conv.node().inputs[0]);
+  if (view && view->op == Op::kPad) {
+    const int64_t outside = graph.value(view->inputs[2]).constant->get(0);
+    const bool pads = std::any_of(own_pad.begin(), own_pad.end(), [](int64_t p) { return p != 0; });
+    if (pads && outside != map.outside) return std::nullopt;
+    map.outside = outside;
+    const std::vector<int64_t> padding = graph.value(view->inputs[1]).constant->ints();
+    pad[0] += padding[2];
+    pad[1] += padding[4];
+    view = conv.folded(view->inputs[0]);
+  }
+  if (!view || view->op != Op::kResize) return std::nullopt;
+  const std::optional<std::array<int64_t, 2>> factors = upsampling(graph, *view);
+  if (!factors) return std::nullopt;
+  map.source = view->inputs[0];
+  map.tile_height = (*factors)[0];
+  map.tile_width = (*factors)[1];
 
-/// Output pixels of an invocation.
-struct Tile {
-  int64_t height, width;
-};
-
-/// `products` are those of one channel of one pixel; a tile multiplies the code, so a module bounds
-/// it too.
-Tile tile_of(int64_t channels, int64_t products, int64_t most_products) {
-  if (channels > 8) return {1, 1};
-  const Tile tile = channels > 4    ? Tile{1, 2}
-                    : channels > 2  ? Tile{2, 2}
-                    : channels == 2 ? Tile{2, 4}
-                                    : Tile{4, 4};
-  return tile.height * tile.width * channels * products <= most_products ? tile : Tile{1, 1};
-}
-
-/// Output channels in a module: as many passes as `most_products` allows, or a part of one, in
-/// fours so that results make words; 0 if not even four channels fit.
-int64_t channels_per_module(const GroupProblem& problem, int64_t most_products) {
-  const int64_t channels = problem.graph->value(problem.group.result).type.shape[3];
-  const int64_t fit = most_products / products_per_channel(problem);
-  if (fit >= channels) return channels;
-  return fit >= kPass ? fit / kPass * kPass : fit / 4 * 4;
-}
-
-bool direct_supports(const GroupProblem& problem, const DeviceProfile& profile,
-                     int64_t most_products) {
-  if (!profile.literal_weights || !problem.group.head) return false;
-  const Graph& graph = *problem.graph;
-  const Node& node = head_of(problem);
-  if (node.op != Op::kConv2d) return false;
-  const auto is = [&](size_t operand, DType dtype) {
-    return graph.value(node.inputs[operand]).type.dtype == dtype;
+  // What a pixel at phase `a` reads by tap `k`, along an axis.
+  const auto texel_of = [factors, pad](size_t axis, int64_t a, int64_t k) {
+    return floor_div(a + k - pad[axis], (*factors)[axis]);
   };
-  if (!is(0, DType::kInt8) || !is(1, DType::kInt8)) return false;
-  if (!graph.value(node.inputs[1]).is_constant() || !graph.value(node.inputs[2]).is_constant())
-    return false;
-  if (op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView) return false;
-  const int64_t channels = graph.value(problem.group.result).type.shape[3];
-  const int64_t per_module = channels_per_module(problem, most_products);
-  if (per_module == 0 || (channels + per_module - 1) / per_module > kMaxModules) return false;
-  const Shape& out = graph.value(node.output).type.shape;
-  const Tile tile = tile_of(channels, products_per_channel(problem), most_products);
-  const auto fits_grid = [](int64_t extent, int64_t each) {
-    return (extent + each - 1) / each <= kMaxWorkgroups;
+  const Shape& taps = conv.weight_shape();
+  for (int64_t row = texel_of(0, 0, 0); row <= texel_of(0, map.tile_height - 1, taps[1] - 1); ++row)
+    for (int64_t column = texel_of(1, 0, 0); column <= texel_of(1, map.tile_width - 1, taps[2] - 1);
+         ++column)
+      map.texels.push_back({row, column});
+  // Taps of all phases along an axis, those on one texel counted once.
+  const auto distinct = [&](size_t axis, int64_t phases) {
+    int64_t count = 0;
+    for (int64_t a = 0; a < phases; ++a)
+      count += texel_of(axis, a, taps[axis + 1] - 1) - texel_of(axis, a, 0) + 1;
+    return count;
   };
-  if (!fits_grid(out[2], kLocalX * tile.width) || !fits_grid(out[1], tile.height) ||
-      !fits_grid(out[0], 1))
-    return false;
-  const std::vector<std::optional<NodeId>> producers = graph.producers();
-  const std::vector<int64_t> leaves = leaf_channels(problem, node.inputs[0], producers);
-  if (leaves.empty()) return false;
-  const auto fits_texels = [&](ValueId id) {
-    const std::optional<NodeId> producer = producers[id.index];
-    return (producer && problem.group.contains(*producer)) ||
-           element_count(graph.value(id).type.shape).value_or(0) <=
-               static_cast<int64_t>(profile.caps.max_texel_elements);
+  map.products_per_channel = distinct(0, map.tile_height) * distinct(1, map.tile_width) * taps[3];
+  map.weight = [&conv, texel_of, width = map.tile_width, texels = map.texels](
+                   int64_t pixel, size_t texel, int64_t oc, int64_t c) {
+    int64_t sum = 0;
+    const Shape& shape = conv.weight_shape();
+    for (int64_t ky = 0; ky < shape[1]; ++ky)
+      for (int64_t kx = 0; kx < shape[2]; ++kx)
+        if (texel_of(0, pixel / width, ky) == texels[texel][0] &&
+            texel_of(1, pixel % width, kx) == texels[texel][1])
+          sum += conv.weight(oc, ky, kx, c);
+    return sum;
   };
-  return std::all_of(problem.group.nodes.begin(), problem.group.nodes.end(), [&](NodeId id) {
-    const std::vector<ValueId>& operands = graph.node(id).inputs;
-    return id == *problem.group.head ? fits_texels(operands[0])
-                                     : std::all_of(operands.begin(), operands.end(), fits_texels);
-  });
+  return map;
 }
 
-double direct_time_us(const GroupProblem& problem, const DeviceProfile& profile, double share) {
-  const Shape& weight = problem.graph->value(head_of(problem).inputs[1]).type.shape;
+bool supports(const GroupProblem& problem, const DeviceProfile& profile, bool phase,
+              int64_t most_products) {
+  if (!LiteralConv::supports(problem, profile)) return false;
+  const LiteralConv conv(problem);
+  const std::optional<TapMap> map =
+      phase ? phase_map(conv) : std::optional(direct_map(conv, most_products));
+  if (!map) return false;
+  const std::optional<int64_t> modules = count_tap_modules(conv, *map, most_products);
+  return modules && *modules <= kMaxModules;
+}
+
+bool fits_float(const GroupProblem& problem) {
+  return problem.proof &&
+         std::all_of(problem.proof->magnitude.begin(), problem.proof->magnitude.end(),
+                     [](int64_t bound) { return bound < kFloatExact; });
+}
+
+/// `share` of the device's mul+add rate, for `part` of the direct form's products.
+double time_us(const GroupProblem& problem, const DeviceProfile& profile, double share,
+               double part) {
+  const Shape& weight =
+      problem.graph->value(problem.graph->node(*problem.group.head).inputs[1]).type.shape;
   // Channel by channel fetches cost about as much as a pass of products each.
   const double overhead = weight[3] % 4 == 0 ? 1.0 : 2.0;
-  const double arithmetic =
-      2e-3 * static_cast<double>(problem.cost.macs) / (profile.mul_add_gops * share) * overhead;
-  const double memory = 1e-3 *
-                        static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written) /
-                        profile.bandwidth_gbps;
-  return std::max(arithmetic, memory) + profile.launch_us;
+  const double arithmetic = 2e-3 * static_cast<double>(problem.cost.macs) * part /
+                            (profile.mul_add_gops * share) * overhead;
+  return literal_time_us(problem, profile, arithmetic);
 }
-
-class DirectEmitter {
- public:
-  DirectEmitter(const GroupProblem& problem, bool use_float)
-      : problem_(problem),
-        graph_(*problem.graph),
-        node_(head_of(problem)),
-        float_(use_float),
-        weight_(*graph_.value(node_.inputs[1]).constant),
-        producers_(graph_.producers()) {
-    const std::vector<int64_t> leaves = leaf_channels(problem, node_.inputs[0], producers_);
-    tile_ = tile_of(graph_.value(node_.output).type.shape[3], products_per_channel(problem),
-                    most_products());
-    lanes_ =
-        std::all_of(leaves.begin(), leaves.end(), [](int64_t c) { return c % 4 == 0; }) ? 4 : 1;
-  }
-
-  std::vector<KernelSource> emit() {
-    std::vector<KernelSource> sources;
-    const int64_t channels = graph_.value(node_.output).type.shape[3];
-    const int64_t step = channels_per_module(problem_, most_products());
-    for (int64_t first = 0; first < channels; first += step)
-      sources.push_back(module(first, std::min(channels, first + step)));
-    return sources;
-  }
-
- private:
-  int64_t most_products() const { return float_ ? kFloatProducts : kIntegerProducts; }
-
-  KernelSource module(int64_t first, int64_t last) {
-    Codegen codegen(problem_);
-    functions_.clear();
-    const Shape& out = graph_.value(node_.output).type.shape;
-    const std::span<const int64_t> pad = node_.attrs.list(Attr::kPad);
-    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
-    std::string body = fmt::format(
-        "  int x = int(gl_GlobalInvocationID.x) * {};\n  int y = int(gl_GlobalInvocationID.y) * "
-        "{};\n"
-        "  int n = int(gl_GlobalInvocationID.z);\n  if (x >= {}) return;\n"
-        "  int ix = x * {} - {};\n  int iy = y * {} - {};\n",
-        tile_.width, tile_.height, out[2], stride[1], pad[2], stride[0], pad[0]);
-    for (int64_t pass = first; pass < last; pass += kPass)
-      body += channels(codegen, pass, std::min(last, pass + kPass));
-    KernelSource source;
-    source.glsl = codegen.finish(fmt::format("local_size_x = {}", kLocalX), body);
-    const auto groups = [](int64_t extent, int64_t each) {
-      return static_cast<uint32_t>((extent + each - 1) / each);
-    };
-    source.workgroups = {groups(out[2], kLocalX * tile_.width), groups(out[1], tile_.height),
-                         static_cast<uint32_t>(out[0])};
-    source.bindings = codegen.bindings();
-    source.optimize = false;
-    return source;
-  }
-
-  int64_t weight(int64_t oc, int64_t ky, int64_t kx, int64_t c) const {
-    const Shape& shape = weight_.type.shape;
-    return weight_.get(((oc * shape[1] + ky) * shape[2] + kx) * shape[3] + c) -
-           graph_.value(node_.inputs[4]).constant->get(0);
-  }
-
-  /// The tap that makes output pixel `out` read input offset `in` along an axis, or nothing.
-  static std::optional<int64_t> tap(int64_t in, int64_t out, int64_t stride, int64_t dilation,
-                                    int64_t taps) {
-    const int64_t distance = in - out * stride;
-    if (distance < 0 || distance % dilation != 0 || distance / dilation >= taps)
-      return std::nullopt;
-    return distance / dilation;
-  }
-
-  /// Input offsets along an axis that any tap of any pixel of the tile reads, each once and in
-  /// order: with a large stride or dilation they are few in a wide span.
-  static std::set<int64_t> offsets(int64_t pixels, int64_t stride, int64_t taps, int64_t dilation) {
-    std::set<int64_t> result;
-    for (int64_t pixel = 0; pixel < pixels; ++pixel)
-      for (int64_t tap = 0; tap < taps; ++tap) result.insert(pixel * stride + tap * dilation);
-    return result;
-  }
-
-  /// Code for output channels [first, last) of the invocation's tile.
-  std::string channels(Codegen& codegen, int64_t first, int64_t last) {
-    const Shape& shape = weight_.type.shape;
-    const char* scalar = float_ ? "float" : "int";
-    const int64_t input_zp = graph_.value(node_.inputs[3]).constant->get(0);
-    const std::span<const int64_t> dilation = node_.attrs.list(Attr::kDilation);
-    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
-    std::string text = "  {\n";
-    for (int64_t pixel = 0; pixel < tile_.height * tile_.width; ++pixel)
-      for (int64_t oc = first; oc < last; ++oc)
-        text += fmt::format("  {} a{}_{} = {};\n", scalar, pixel, oc - first, float_ ? "0.0" : "0");
-    text += lanes_ == 4 ? fmt::format("  {} t;\n", float_ ? "vec4" : "ivec4")
-                        : fmt::format("  {} t;\n", scalar);
-    for (const int64_t row : offsets(tile_.height, stride[0], shape[1], dilation[0]))
-      for (const int64_t column : offsets(tile_.width, stride[1], shape[2], dilation[1]))
-        for (int64_t c = 0; c < shape[3]; c += lanes_) {
-          const std::string terms = products(first, last, row, column, c);
-          if (terms.empty()) continue;
-          text += fmt::format("  t = {}({});\n", lanes_ == 4 ? (float_ ? "vec4" : "ivec4") : scalar,
-                              fetch(codegen, node_.inputs[0], c, fmt::format("iy + {}", row),
-                                    fmt::format("ix + {}", column), input_zp)) +
-                  terms;
-        }
-    for (int64_t j = 0; j < tile_.height; ++j)
-      for (int64_t i = 0; i < tile_.width; ++i) results(codegen, text, first, last, j, i);
-    return text + "  }\n";
-  }
-
-  /// What the texel at (row, column) of the tile's input, channels from `c` on, adds to the sums.
-  std::string products(int64_t first, int64_t last, int64_t row, int64_t column, int64_t c) const {
-    const Shape& shape = weight_.type.shape;
-    const std::span<const int64_t> dilation = node_.attrs.list(Attr::kDilation);
-    const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
-    std::string text;
-    for (int64_t pixel = 0; pixel < tile_.height * tile_.width; ++pixel) {
-      const std::optional<int64_t> ky =
-          tap(row, pixel / tile_.width, stride[0], dilation[0], shape[1]);
-      const std::optional<int64_t> kx =
-          tap(column, pixel % tile_.width, stride[1], dilation[1], shape[2]);
-      if (!ky || !kx) continue;
-      for (int64_t oc = first; oc < last; ++oc) {
-        std::string sum;
-        for (int64_t lane = 0; lane < lanes_; ++lane) {
-          const int64_t w = weight(oc, *ky, *kx, c + lane);
-          if (w == 0) continue;
-          const std::string x = lanes_ == 4 ? fmt::format("t.{}", "xyzw"[lane]) : "t";
-          sum += fmt::format("{}{} * {}", sum.empty() ? "" : " + ", x,
-                             float_ ? fmt::format("{}.0", w) : std::to_string(w));
-        }
-        if (!sum.empty()) text += fmt::format("  a{}_{} += {};\n", pixel, oc - first, sum);
-      }
-    }
-    return text;
-  }
-
-  /// Bias, fused elementwise nodes and stores of pixel (j, i) of the tile.
-  void results(Codegen& codegen, std::string& text, int64_t first, int64_t last, int64_t j,
-               int64_t i) {
-    const Shape& shape = weight_.type.shape;
-    const Shape& out = graph_.value(node_.output).type.shape;
-    const int64_t pixel = j * tile_.width + i;
-    const int64_t input_zp = graph_.value(node_.inputs[3]).constant->get(0);
-    const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
-    const std::string y = j == 0 ? "y" : fmt::format("(y + {})", j),
-                      x = i == 0 ? "x" : fmt::format("(x + {})", i);
-    // The last tiles of a row or column may reach beyond the result.
-    text += fmt::format("  if ({} < {} && {} < {}) {{\n", x, out[2], y, out[1]);
-    // Four int8 results make a word of the result buffer where channels allow it.
-    const bool words =
-        graph_.value(problem_.group.result).type.dtype == DType::kInt8 && out[3] % 4 == 0;
-    std::string word;
-    for (int64_t oc = first; oc < last; ++oc) {
-      // Raw bytes were multiplied: zp * sum(w) comes off here, and a padded tap reads zp.
-      int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
-      for (int64_t k = 0; input_zp != 0 && k < shape[1] * shape[2] * shape[3]; ++k)
-        offset -=
-            input_zp * weight(oc, k / (shape[2] * shape[3]), k / shape[3] % shape[2], k % shape[3]);
-      const std::string suffix = fmt::format("_{}_{}", pixel, oc - first);
-      text += fmt::format("  int h{0} = int(a{1}_{2}) + {3};\n", suffix, pixel, oc - first,
-                          Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(offset))));
-      codegen.locals()[node_.output] = "h" + suffix;
-      const Position at{{"n", y, x, std::to_string(oc)}, {}};
-      codegen.epilogue(text, at, suffix);
-      const std::string value = codegen.load(problem_.group.result, at);
-      if (!words) {
-        text += codegen.store(problem_.group.result, at, value);
-      } else if (oc % 4 < 3) {
-        word += fmt::format("(({} & 255) << {}) | ", value, 8 * (oc % 4));
-      } else {
-        const size_t binding = codegen.bind(problem_.group.result, BindingType::kStorageBuffer,
-                                            ImageFormat::kRgba8Sint, true);
-        text += fmt::format("  b{}.d[((n * {} + {}) * {} + {}) * {} + {}] = uint({}({} << 24));\n",
-                            binding, out[1], y, out[2], x, out[3] / 4, oc / 4, word, value);
-        word.clear();
-      }
-    }
-    text += "  }\n";
-  }
-
-  /// Call of the function that fetches `lanes_` channels from `c` on of value `id` at row y, column
-  /// x; outside the value it gives `outside`.
-  std::string fetch(Codegen& codegen, ValueId id, int64_t c, const std::string& y,
-                    const std::string& x, int64_t outside) {
-    const std::string name = fmt::format("fetch{}_{}", id.index, c);
-    if (functions_.emplace(name).second) {
-      const Shape& shape = graph_.value(id).type.shape;
-      const char* type = lanes_ == 4 ? "ivec4" : "int";
-      const std::string body = inside(codegen, id, c);
-      codegen.add_function(fmt::format(
-          "{0} {1}(int n, int y, int x, int outside) {{\n"
-          "  if (uint(y) < {2}u && uint(x) < {3}u) return {4};\n  return {0}(outside);\n}}\n\n",
-          type, name, shape[1], shape[2], body));
-    }
-    return fmt::format("{}(n, {}, {}, {})", name, y, x, outside);
-  }
-
-  /// The same where row y and column x are inside the value.
-  std::string inside(Codegen& codegen, ValueId id, int64_t c) {
-    const std::optional<NodeId> producer = producers_[id.index];
-    const Shape& shape = graph_.value(id).type.shape;
-    if (!producer || !problem_.group.contains(*producer)) {
-      const size_t binding =
-          codegen.bind(id, BindingType::kUniformTexelBuffer,
-                       lanes_ == 4 ? ImageFormat::kRgba8Sint : ImageFormat::kR8Sint, false);
-      return fmt::format("texelFetch(t{}, ((n * {} + y) * {} + x) * {} + {}){}", binding, shape[1],
-                         shape[2], shape[3] / lanes_, c / lanes_, lanes_ == 4 ? "" : ".x");
-    }
-    const Node& node = graph_.node(*producer);
-    const auto ints = [&](size_t index) {
-      return graph_.value(node.inputs[index]).constant->ints();
-    };
-    if (node.op == Op::kPad) {
-      const std::vector<int64_t> padding = ints(1);
-      return fetch(codegen, node.inputs[0], c, fmt::format("y - {}", padding[2]),
-                   fmt::format("x - {}", padding[4]),
-                   graph_.value(node.inputs[2]).constant->get(0));
-    }
-    if (node.op == Op::kConcat) {
-      for (const ValueId part : node.inputs) {
-        const int64_t channels = graph_.value(part).type.shape[3];
-        if (c < channels) return inside(codegen, part, c);
-        c -= channels;
-      }
-    }
-    const Shape& from = graph_.value(node.inputs[0]).type.shape;
-    const std::vector<int64_t> scale = ints(1), offset = ints(2);
-    const auto source = [&](const char* o, size_t axis) {
-      return fmt::format("nearest({}, {}, {}, {}, {})", o, scale[2 * axis], scale[2 * axis + 1],
-                         Codegen::literal(offset[axis]), from[axis + 1]);
-    };
-    return fetch(codegen, node.inputs[0], c, source("y", 0), source("x", 1), 0);
-  }
-
-  const GroupProblem& problem_;
-  const Graph& graph_;
-  const Node& node_;
-  bool float_;
-  const Tensor& weight_;
-  std::vector<std::optional<NodeId>> producers_;
-  Tile tile_{1, 1};
-  int64_t lanes_ = 1;  ///< channels of a fetch
-  std::set<std::string> functions_;
-};
 
 }  // namespace
 
 bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  if (!direct_supports(problem, profile, kFloatProducts) || !problem.proof) return false;
-  return std::all_of(problem.proof->magnitude.begin(), problem.proof->magnitude.end(),
-                     [](int64_t bound) { return bound < kFloatExact; });
+  return fits_float(problem) && supports(problem, profile, false, kFloatProducts);
+}
+
+int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile&) {
+  const LiteralConv conv(problem);
+  return direct_map(conv, kFloatProducts).products(conv);
 }
 
 double conv2d_f32exact_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return direct_time_us(problem, profile, profile.literal_share);
+  return time_us(problem, profile, profile.literal_share, 1.0);
 }
 
 Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& problem,
                                                        const DeviceProfile&) {
-  return DirectEmitter(problem, true).emit();
+  const LiteralConv conv(problem);
+  return emit_taps(problem, direct_map(conv, kFloatProducts), true, kFloatProducts);
+}
+
+bool conv2d_phase_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  return fits_float(problem) && supports(problem, profile, true, kFloatProducts);
+}
+
+int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile&) {
+  const LiteralConv conv(problem);
+  return phase_map(conv)->products(conv);
+}
+
+double conv2d_phase_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
+  const LiteralConv conv(problem);
+  const TapMap map = *phase_map(conv);
+  const Shape& taps = conv.weight_shape();
+  const double direct =
+      static_cast<double>(map.tile_height * map.tile_width * taps[0] * taps[1] * taps[2] * taps[3]);
+  return time_us(problem, profile, profile.literal_share,
+                 static_cast<double>(map.products(conv)) / direct);
+}
+
+Result<std::vector<KernelSource>> conv2d_phase_emit(const GroupProblem& problem,
+                                                    const DeviceProfile&) {
+  const LiteralConv conv(problem);
+  return emit_taps(problem, *phase_map(conv), true, kFloatProducts);
 }
 
 bool conv2d_i32_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  return direct_supports(problem, profile, kIntegerProducts);
+  return supports(problem, profile, false, kIntegerProducts);
 }
 
 double conv2d_i32_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return direct_time_us(problem, profile, profile.integer_share);
+  return time_us(problem, profile, profile.integer_share, 1.0);
 }
 
 Result<std::vector<KernelSource>> conv2d_i32_emit(const GroupProblem& problem,
                                                   const DeviceProfile&) {
-  return DirectEmitter(problem, false).emit();
+  const LiteralConv conv(problem);
+  return emit_taps(problem, direct_map(conv, kIntegerProducts), false, kIntegerProducts);
 }
 
 }  // namespace shale

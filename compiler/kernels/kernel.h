@@ -17,7 +17,9 @@ namespace shale {
 struct KernelBinding {
   ValueId value;
   BindingType type = BindingType::kStorageBuffer;
-  ImageFormat view_format = ImageFormat::kNone;  ///< for texel buffers
+  /// How a texel buffer is viewed; for a storage buffer of int8 the width of an element: kR32Uint
+  /// (uint) or kRgba32Uint (uvec4) instead of single bytes.
+  ImageFormat view_format = ImageFormat::kNone;
   bool writes = false;
 };
 
@@ -26,8 +28,8 @@ struct KernelSource {
   std::string glsl;
   std::array<uint32_t, 3> workgroups{1, 1, 1};
   std::vector<KernelBinding> bindings;
-  bool optimize =
-      true;  ///< false where spirv-opt costs much and gains nothing: literal-heavy modules
+  /// Weights stand in the code: spirv-opt would take long over it and gain nothing.
+  bool is_literal = false;
 };
 
 /// A group to be compiled, with what selection needs to know about it.
@@ -43,21 +45,29 @@ struct KernelFamily {
   bool (*supports)(const GroupProblem& problem, const DeviceProfile& profile);
   /// Estimated time in microseconds on the profile.
   double (*time_us)(const GroupProblem& problem, const DeviceProfile& profile);
+  /// Products whose weights stand in the code, which the driver has to compile; null if none do.
+  int64_t (*literals)(const GroupProblem& problem, const DeviceProfile& profile);
   /// Errors: kUnsupported where the group is outside the family after all.
   Result<std::vector<KernelSource>> (*emit)(const GroupProblem& problem,
                                             const DeviceProfile& profile);
 };
 
-#define SHALE_KERNEL(name, supports, time_us, emit)          \
-  bool supports(const GroupProblem&, const DeviceProfile&);  \
-  double time_us(const GroupProblem&, const DeviceProfile&); \
-  Result<std::vector<KernelSource>> emit(const GroupProblem&, const DeviceProfile&);
+inline constexpr int64_t (*no_literals)(const GroupProblem&, const DeviceProfile&) = nullptr;
+
+#define SHALE_KERNEL(prefix, name, literals)                          \
+  bool prefix##_supports(const GroupProblem&, const DeviceProfile&);  \
+  double prefix##_time_us(const GroupProblem&, const DeviceProfile&); \
+  Result<std::vector<KernelSource>> prefix##_emit(const GroupProblem&, const DeviceProfile&);
 #include "compiler/kernels/kernels.def"
+int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile& profile);
+int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile& profile);
+int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfile& profile);
 
 std::span<const KernelFamily> all_kernels();
 
-/// The family of least estimated time among those that support the group; table order breaks ties.
-/// `allowed` (names; empty is all) restricts the choice; the generic kernel always takes part.
+/// The family of least estimated time, with its share of the driver's compile time, among those that
+/// support the group; table order breaks ties.
+/// `allowed` (names; empty is all) restricts the choice; the generic kernel serves where none of them can.
 const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfile& profile,
                                   std::span<const std::string> allowed = {});
 

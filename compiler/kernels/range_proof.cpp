@@ -75,15 +75,16 @@ std::optional<RangeProof> prove_ranges(const Graph& graph, const Group& group) {
   const IntRange raw = value_range(graph, node.inputs[0]);
   // A padded tap contributes 0, so 0 belongs to the range of x - zp.
   const IntRange centred = join({raw.min - zp, raw.max - zp}, {0, 0});
-  // Kernels multiply raw bytes and take zp * sum(w) off the bias, so their partial sums see raw
-  // values; a padded tap reads zp.
-  const int64_t largest = std::max({std::abs(raw.min), std::abs(raw.max), std::abs(zp)});
+  // Kernels of int8 multiply codes as unsigned bytes, u = q + 128, and take what that adds off the
+  // bias; a padded tap reads the zero point.
+  const int64_t largest = std::max(raw.max, zp) + 128;
   const size_t channels = static_cast<size_t>(graph.value(node.output).type.shape.back());
   RangeProof proof;
   proof.name = graph.value(node.output).name;
   proof.min.resize(channels);
   proof.max.resize(channels);
   proof.magnitude.resize(channels);
+  std::vector<int64_t> down(channels);  // what negative weights add, as a magnitude
   for (size_t c = 0; c < channels; ++c)
     proof.min[c] = proof.max[c] =
         bias.constant->get(bias.constant->count() == 1 ? 0 : static_cast<int64_t>(c));
@@ -95,8 +96,9 @@ std::optional<RangeProof> prove_ranges(const Graph& graph, const Group& group) {
     const int64_t w = weight.constant->get(i) - weight_zp;
     proof.min[c] += std::min(w * centred.min, w * centred.max);
     proof.max[c] += std::max(w * centred.min, w * centred.max);
-    proof.magnitude[c] += std::abs(w) * largest;
+    (w > 0 ? proof.magnitude[c] : down[c]) += std::abs(w) * largest;
   }
+  for (size_t c = 0; c < channels; ++c) proof.magnitude[c] = std::max(proof.magnitude[c], down[c]);
   return proof;
 }
 

@@ -6,9 +6,23 @@ namespace shale {
 namespace {
 
 constexpr KernelFamily kKernels[] = {
-#define SHALE_KERNEL(name, supports, time_us, emit) {name, supports, time_us, emit},
+#define SHALE_KERNEL(prefix, name, literals) \
+  {name, prefix##_supports, prefix##_time_us, literals, prefix##_emit},
 #include "compiler/kernels/kernels.def"
 };
+
+/// Compiling for the driver is spread over so many frames: five seconds of them. A layer that gains
+/// less than that is not worth more code.
+constexpr double kFramesPerStart = 300;
+
+double weighed_us(const KernelFamily& family, const GroupProblem& problem,
+                  const DeviceProfile& profile) {
+  const double setup_us =
+      family.literals
+          ? profile.driver_us_per_product * static_cast<double>(family.literals(problem, profile))
+          : 0;
+  return family.time_us(problem, profile) + setup_us / kFramesPerStart;
+}
 
 }  // namespace
 
@@ -16,18 +30,20 @@ std::span<const KernelFamily> all_kernels() { return kKernels; }
 
 const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfile& profile,
                                   std::span<const std::string> allowed) {
+  const KernelFamily& generic = kKernels[std::size(kKernels) - 1];  // supports everything
   const KernelFamily* best = nullptr;
   double best_us = 0;
   for (const KernelFamily& family : kKernels) {
-    const bool is_generic = &family == &kKernels[std::size(kKernels) - 1];
-    if (!allowed.empty() && !is_generic &&
-        std::find(allowed.begin(), allowed.end(), family.name) == allowed.end())
+    if (&family == &generic || !family.supports(problem, profile)) continue;
+    if (!allowed.empty() && std::find(allowed.begin(), allowed.end(), family.name) == allowed.end())
       continue;
-    if (!family.supports(problem, profile)) continue;
-    const double time_us = family.time_us(problem, profile);
+    const double time_us = weighed_us(family, problem, profile);
     if (!best || time_us < best_us) best = &family, best_us = time_us;
   }
-  return *best;  // the generic kernel supports everything
+  if (!best) return generic;
+  // A family that was asked for by name serves wherever it can.
+  const bool faster = best->time_us(problem, profile) <= generic.time_us(problem, profile);
+  return faster || !allowed.empty() ? *best : generic;
 }
 
 }  // namespace shale

@@ -117,7 +117,9 @@ Result<void> check_tensor_binding(const std::string& where, const Binding& bindi
     return {};
   }
   if (binding.writes) return bad_input(where, "a uniform texel buffer is written");
-  if (binding.view_format != ImageFormat::kRgba8Sint && binding.view_format != ImageFormat::kR8Sint)
+  const auto views = {ImageFormat::kRgba8Sint, ImageFormat::kR8Sint, ImageFormat::kR32Uint,
+                      ImageFormat::kRgba32Uint};
+  if (std::find(views.begin(), views.end(), binding.view_format) == views.end())
     return bad_input(where, "a texel buffer cannot have the view format {}",
                      image_format_info(binding.view_format).name);
   if (tensor.dtype != DType::kInt8 && tensor.dtype != DType::kBool)

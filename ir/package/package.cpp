@@ -34,6 +34,7 @@ constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
     {ImageFormat::kR8Sint, "r8_sint", "r8i", 1, 1},
     {ImageFormat::kRg8Unorm, "rg8_unorm", "rg8", 2, 2},
     {ImageFormat::kRgba8Snorm, "rgba8_snorm", "rgba8_snorm", 4, 4},
+    {ImageFormat::kRgba32Uint, "rgba32_uint", "rgba32ui", 16, 4},
 }};
 
 // ---- Writing: plain data to tables, children first, always in the same order.

@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 1;
+inline constexpr uint32_t kPackageMinor = 2;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -65,8 +65,9 @@ enum class ImageFormat : uint8_t {
   kR8Sint = 10,    ///< texel buffers of int8 tensors, one channel a texel
   kRg8Unorm = 11,
   kRgba8Snorm = 12,
+  kRgba32Uint = 13,  ///< texel buffers of int8 tensors, 16 channels a texel
 };
-inline constexpr uint32_t kImageFormatCount = 13;
+inline constexpr uint32_t kImageFormatCount = 14;
 
 /// Names as in frame.json ("rgba8_unorm") and in GLSL layouts ("rgba8"), bytes and channels of a
 /// texel.
@@ -195,7 +196,7 @@ struct Segment {
 struct RangeProof {
   std::string name;                ///< the convolution's result value
   std::vector<int64_t> min, max;   ///< of the final accumulator, bias included
-  std::vector<int64_t> magnitude;  ///< of any partial sum in any order, bias left out
+  std::vector<int64_t> magnitude;  ///< of any partial sum of w * (q + 128), bias left out
   bool operator==(const RangeProof&) const = default;
 };
 

@@ -21,3 +21,11 @@ int scale_round(int a, int b, int shift, bool double_round) {
   return int(sum_low >> shift) | (sum_high << (32 - shift));
 }
 
+
+// The same for a shift of 32 + `shift`, shift > 0, without `double_round`: what is added and kept lies
+// in the upper word alone.
+int scale_high(int a, int b, int shift) {
+  int high, low;
+  imulExtended(a, b, high, low);
+  return (high + (1 << (shift - 1))) >> shift;
+}

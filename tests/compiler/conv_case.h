@@ -10,7 +10,7 @@
 namespace shale {
 
 /// What stands between the graph input and the convolution.
-enum class Source { kPlain, kPad, kConcat, kResize, kPadOfConcatOfResize };
+enum class Source { kPlain, kPad, kConcat, kResize, kPadOfConcatOfResize, kUpsample };
 
 /// What follows the accumulator.
 enum class Epilogue {
@@ -129,12 +129,15 @@ struct ConvCase {
           "pad_value", Tensor::from_ints({DType::kInt8, {1}}, std::vector<int64_t>{-77}));
       return g.add_node(Op::kPad, {}, {from, padding, value}, "padded", {DType::kInt8, shape});
     };
-    const auto resize_node = [&](ValueId from) {
+    // By 2 and 3; centred texels are repeated in blocks.
+    const auto resize_node = [&](ValueId from, bool is_centred = false) {
       Shape shape = g.value(from).type.shape;
       shape[1] *= 2;
       shape[2] *= 3;
-      const ValueId scale = g.add_shape("scale", {2, 1, 3, 1}),
-                    offset = g.add_shape("offset", {0, 0});
+      const ValueId scale = g.add_shape("scale", is_centred ? std::vector<int64_t>{4, 2, 6, 2}
+                                                            : std::vector<int64_t>{2, 1, 3, 1}),
+                    offset = g.add_shape("offset", is_centred ? std::vector<int64_t>{-1, -2}
+                                                              : std::vector<int64_t>{0, 0});
       const ValueId border = g.add_shape("border", {1, 2});
       return g.add_node(Op::kResize, Attrs().set(Attr::kMode, kNearest),
                         {from, scale, offset, border}, "resized", {DType::kInt8, shape});
@@ -155,6 +158,7 @@ struct ConvCase {
       case Source::kConcat:
         return concat_node({input("x", h, w, ic / 2), input("x2", h, w, ic - ic / 2)});
       case Source::kResize: return resize_node(input("x", h / 2, w / 3, ic));
+      case Source::kUpsample: return resize_node(input("x", h / 2, w / 3, ic), true);
       case Source::kPadOfConcatOfResize: {
         const ValueId small = resize_node(input("x", (h - 3) / 2, (w - 1) / 3, ic / 2));
         return pad_node(concat_node({small, input("x2", h - 3, w - 1, ic - ic / 2)}));
@@ -256,6 +260,39 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .oc = 17,
                    .source = Source::kPadOfConcatOfResize,
                    .epilogue = Epilogue::kTable});
+  cases.push_back({.name = "upsampled", .h = 6, .w = 9, .ic = 16, .source = Source::kUpsample});
+  cases.push_back({.name = "upsampled_padded_far",
+                   .n = 2,
+                   .h = 4,
+                   .w = 6,
+                   .oc = 17,
+                   .kh = 4,
+                   .pad = {3, 1, 2, 0},
+                   .input_zp = -128,
+                   .source = Source::kUpsample});
+  cases.push_back({.name = "upsampled_ic3_oc4",
+                   .h = 2,
+                   .w = 3,
+                   .ic = 3,
+                   .oc = 4,
+                   .input_zp = 40,
+                   .source = Source::kUpsample,
+                   .epilogue = Epilogue::kTable});
+  // Fetches of 16 channels, and stores of as many.
+  cases.push_back({.name = "ic16_oc32", .h = 6, .w = 66, .ic = 16, .oc = 32, .input_zp = -128});
+  cases.push_back({.name = "ic32_of_concat",
+                   .n = 2,
+                   .ic = 32,
+                   .oc = 20,
+                   .input_zp = -128,
+                   .source = Source::kConcat,
+                   .epilogue = Epilogue::kTable,
+                   .weight_min = -30,
+                   .weight_max = 30});
+  // Exact in float32 as it is, but not after Winograd's transforms.
+  cases.push_back({.name = "beyond_winograd", .ic = 64, .oc = 1});
+  // So many products that passes become loops over rows.
+  cases.push_back({.name = "looped_rows", .h = 6, .w = 3, .ic = 32, .oc = 40, .zero_weights = 85});
   // Few channels: an invocation makes a tile of pixels, which overlap by stride and dilation.
   cases.push_back({.name = "tile_oc1_stride2",
                    .h = 11,
@@ -299,7 +336,7 @@ inline std::vector<ConvCase> edge_conv_cases() {
   // More output channels than a module holds; zeros keep the modules small.
   cases.push_back(
       {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
-  // The fewest products that leave the integers that float32 holds: 1025 * 128 * 128 > 2^24.
+  // Products that leave the integers that float32 holds.
   cases.push_back({.name = "beyond_float",
                    .h = 1,
                    .w = 2,

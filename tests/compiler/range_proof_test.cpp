@@ -137,7 +137,7 @@ TEST(RangeProof, UsesWhatIsKnownOfTheInput) {
   const RangeProof proof = proof_of(graph_of(text));
   EXPECT_EQ(proof.min[0], -120);
   EXPECT_EQ(proof.max[0], 120);
-  EXPECT_EQ(proof.magnitude[0], 140);
+  EXPECT_EQ(proof.magnitude[0], 10 * (7 + 128));
 }
 
 TEST(RangeProof, NeedsConstantWeightsAndBias) {
@@ -256,8 +256,8 @@ TEST(RangeProof, GoesIntoThePackage) {
 }
 
 TEST(RangeProof, DecidesBetweenFloatAndInteger) {
-  // channels * 128 * 128 reaches 2^24 with 1024 channels.
-  for (const int64_t ic : {1023, 1024}) {
+  // channels * 128 * 255 reaches 2^24 with 515 channels.
+  for (const int64_t ic : {514, 515}) {
     const Graph graph = ConvCase{.name = "limit",
                                  .h = 1,
                                  .w = 1,
@@ -271,11 +271,11 @@ TEST(RangeProof, DecidesBetweenFloatAndInteger) {
                                  .weight_max = -128}
                             .graph();
     const int64_t magnitude = proof_of(graph).magnitude[0];
-    EXPECT_EQ(magnitude, ic * 128 * 128);
-    EXPECT_EQ(magnitude < kFloatExact, ic == 1023);
+    EXPECT_EQ(magnitude, ic * 128 * 255);
+    EXPECT_EQ(magnitude < kFloatExact, ic == 514);
     const Compiled compiled = must(compile_graph(graph, 0, plain_options()));
     EXPECT_EQ(compiled.package.variants[0].segments[0].dispatches[0].kernel,
-              ic == 1023 ? "conv2d_s8_f32exact" : "conv2d_s8_i32");
+              ic == 514 ? "conv2d_s8_f32exact" : "conv2d_s8_i32");
   }
 }
 

@@ -25,10 +25,37 @@ std::string selected(Graph graph, std::string_view target = "lavapipe",
 }
 
 TEST(Select, TakesFloatForProvenConvolutionsOnLavapipe) {
-  for (const ConvCase& row : edge_conv_cases())
-    EXPECT_EQ(selected(row.graph()),
-              row.name == "beyond_float" ? "conv2d_s8_i32" : "conv2d_s8_f32exact")
-        << row.name;
+  for (const ConvCase& row : edge_conv_cases()) {
+    const std::string kernel = selected(row.graph());
+    if (row.name == "beyond_float") {
+      EXPECT_EQ(kernel, "conv2d_s8_i32");
+    } else {
+      EXPECT_TRUE(kernel == "conv2d_s8_f32exact" || kernel == "conv2d_s8_winograd" ||
+                  kernel == "conv2d_s8_phase")
+          << row.name << ": " << kernel;
+    }
+  }
+}
+
+TEST(Select, TakesWinogradWhereItsProductsOutweighItsTransforms) {
+  const auto kernel_for = [](int64_t ic, int64_t oc, int64_t height, int64_t width,
+                             Source source = Source::kPlain) {
+    return selected(ConvCase{.name = "layer",
+                             .h = height,
+                             .w = width,
+                             .ic = ic,
+                             .oc = oc,
+                             .input_zp = -128,
+                             .source = source,
+                             .weight_min = -30,
+                             .weight_max = 30}
+                        .graph());
+  };
+  EXPECT_EQ(kernel_for(32, 32, 272, 480), "conv2d_s8_winograd");
+  EXPECT_EQ(kernel_for(48, 16, 272, 480), "conv2d_s8_winograd");
+  EXPECT_EQ(kernel_for(16, 16, 272, 480), "conv2d_s8_winograd");
+  EXPECT_EQ(kernel_for(64, 64, 68, 120), "conv2d_s8_f32exact");  // the driver's compile time
+  EXPECT_EQ(kernel_for(32, 16, 272, 480, Source::kUpsample), "conv2d_s8_phase");
 }
 
 TEST(Select, KeepsWeightsInBuffersOnGpus) {

@@ -1,0 +1,381 @@
+#include "compiler/kernels/literal_conv.h"
+
+#include <algorithm>
+
+namespace shale {
+namespace {
+
+/// From this many products on a module's passes become loops over rows: code that is run several
+/// times in a row is fetched once into the processor's instruction cache, and compilers take short
+/// blocks faster than one long one.
+constexpr int64_t kLoopedProducts = 9216;
+constexpr int64_t kLoopedRows = 4, kLoopedSums = 8;
+
+const Node& head_of(const GroupProblem& problem) {
+  return problem.graph->node(*problem.group.head);
+}
+
+std::string plus(const std::string& base, int64_t offset) {
+  if (offset == 0) return base;
+  return offset > 0 ? fmt::format("{} + {}", base, offset) : fmt::format("{} - {}", base, -offset);
+}
+
+int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
+
+}  // namespace
+
+LiteralConv::LiteralConv(const GroupProblem& problem)
+    : problem_(problem),
+      graph_(*problem.graph),
+      node_(head_of(problem)),
+      weight_(*graph_.value(node_.inputs[1]).constant),
+      producers_(graph_.producers()),
+      codegen_(problem) {
+  codegen_.read_tables_as_texels();
+  const std::vector<int64_t> leaves = leaf_channels(node_.inputs[0]);
+  for (const int64_t lanes : {16, 4})
+    if (lanes_ == 1 &&
+        std::all_of(leaves.begin(), leaves.end(), [&](int64_t c) { return c % lanes == 0; }))
+      lanes_ = lanes;
+}
+
+bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  if (!profile.literal_weights || !problem.group.head) return false;
+  const Graph& graph = *problem.graph;
+  const Node& node = head_of(problem);
+  if (node.op != Op::kConv2d) return false;
+  const auto is = [&](size_t operand, DType dtype) {
+    return graph.value(node.inputs[operand]).type.dtype == dtype;
+  };
+  if (!is(0, DType::kInt8) || !is(1, DType::kInt8)) return false;
+  if (!graph.value(node.inputs[1]).is_constant() || !graph.value(node.inputs[2]).is_constant())
+    return false;
+  if (op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView) return false;
+  const LiteralConv conv(problem);
+  if (conv.leaf_channels(node.inputs[0]).empty()) return false;
+  const auto fits_texels = [&](ValueId id) {
+    return conv.folded(id) || element_count(graph.value(id).type.shape).value_or(0) <=
+                                  static_cast<int64_t>(profile.caps.max_texel_elements);
+  };
+  return std::all_of(problem.group.nodes.begin(), problem.group.nodes.end(), [&](NodeId id) {
+    const std::vector<ValueId>& operands = graph.node(id).inputs;
+    return id == *problem.group.head ? fits_texels(operands[0])
+                                     : std::all_of(operands.begin(), operands.end(), fits_texels);
+  });
+}
+
+const Node* LiteralConv::folded(ValueId id) const {
+  const std::optional<NodeId> producer = producers_[id.index];
+  return producer && problem_.group.contains(*producer) ? &graph_.node(*producer) : nullptr;
+}
+
+int64_t LiteralConv::weight(int64_t oc, int64_t ky, int64_t kx, int64_t c) const {
+  const Shape& shape = weight_.type.shape;
+  return weight_.get(((oc * shape[1] + ky) * shape[2] + kx) * shape[3] + c) -
+         graph_.value(node_.inputs[4]).constant->get(0);
+}
+
+/// Channels of every tensor that the convolution reads through its folded views; empty if a view is
+/// one that fetches cannot follow (a pad of batch or channels, a concat of another axis).
+std::vector<int64_t> LiteralConv::leaf_channels(ValueId id) const {
+  const Node* view = folded(id);
+  if (!view) return {graph_.value(id).type.shape[3]};
+  std::vector<int64_t> leaves;
+  if (view->op == Op::kPad) {
+    const std::vector<int64_t> padding = graph_.value(view->inputs[1]).constant->ints();
+    for (const size_t i : {0u, 1u, 6u, 7u})
+      if (padding[i] != 0) return {};
+    if (!graph_.value(view->inputs[2]).is_constant()) return {};
+  } else if (view->op == Op::kConcat) {
+    if (view->attrs.get(Attr::kAxis) != 3) return {};
+  } else if (view->op != Op::kResize) {
+    return {};
+  }
+  const size_t sources = view->op == Op::kConcat ? view->inputs.size() : 1;
+  for (size_t i = 0; i < sources; ++i) {
+    const std::vector<int64_t> own = leaf_channels(view->inputs[i]);
+    if (own.empty()) return {};
+    leaves.insert(leaves.end(), own.begin(), own.end());
+  }
+  return leaves;
+}
+
+std::string LiteralConv::fetch(ValueId id, int64_t c, const std::string& y, const std::string& x,
+                               int64_t outside) {
+  const std::string name = fmt::format("fetch{}_{}", id.index, c);
+  if (functions_.emplace(name).second) {
+    const Shape& shape = graph_.value(id).type.shape;
+    const std::string body = inside(id, c);
+    codegen_.add_function(fmt::format(
+        "{0} {1}(int n, int y, int x, uint outside) {{\n"
+        "  if (uint(y) < {2}u && uint(x) < {3}u) return {4};\n  return {0}(outside);\n}}\n\n",
+        texel_type(), name, shape[1], shape[2], body));
+  }
+  const uint32_t u = static_cast<uint32_t>(outside + 128) & 255u;
+  return fmt::format("{}(n, {}, {}, {}u)", name, y, x, lanes_ == 1 ? u : u * 0x01010101u);
+}
+
+/// The same where row y and column x are inside the value.
+std::string LiteralConv::inside(ValueId id, int64_t c) {
+  const Node* view = folded(id);
+  const Shape& shape = graph_.value(id).type.shape;
+  if (!view) {
+    const ImageFormat format = lanes_ == 16  ? ImageFormat::kRgba32Uint
+                               : lanes_ == 4 ? ImageFormat::kR32Uint
+                                             : ImageFormat::kR8Sint;
+    const std::string texel =
+        fmt::format("texelFetch(t{}, ((n * {} + y) * {} + x) * {} + {})",
+                    codegen_.bind(id, BindingType::kUniformTexelBuffer, format, false), shape[1],
+                    shape[2], shape[3] / lanes_, c / lanes_);
+    return lanes_ == 16  ? texel + " ^ 0x80808080u"
+           : lanes_ == 4 ? texel + ".x ^ 0x80808080u"
+                         : fmt::format("uint({}.x + 128)", texel);
+  }
+  const auto numbers = [&](size_t index) {
+    return graph_.value(view->inputs[index]).constant->ints();
+  };
+  if (view->op == Op::kPad) {
+    const std::vector<int64_t> padding = numbers(1);
+    return fetch(view->inputs[0], c, fmt::format("y - {}", padding[2]),
+                 fmt::format("x - {}", padding[4]), graph_.value(view->inputs[2]).constant->get(0));
+  }
+  if (view->op == Op::kConcat) {
+    for (const ValueId part : view->inputs) {
+      const int64_t channels = graph_.value(part).type.shape[3];
+      if (c < channels) return inside(part, c);
+      c -= channels;
+    }
+  }
+  const Shape& from = graph_.value(view->inputs[0]).type.shape;
+  const std::vector<int64_t> scale = numbers(1), offset = numbers(2);
+  const auto source = [&](const char* o, size_t axis) {
+    return fmt::format("nearest({}, {}, {}, {}, {})", o, scale[2 * axis], scale[2 * axis + 1],
+                       Codegen::literal(offset[axis]), from[axis + 1]);
+  };
+  return fetch(view->inputs[0], c, source("y", 0), source("x", 1), -128);
+}
+
+std::string LiteralConv::byte(const std::string& texel, int64_t lane) const {
+  if (lanes_ == 1) return texel;
+  const std::string word =
+      lanes_ == 4 ? texel : fmt::format("{}.{}", texel, "xyzw"[static_cast<size_t>(lane / 4)]);
+  switch (lane % 4) {
+    case 0: return fmt::format("({} & 255u)", word);
+    case 3: return fmt::format("({} >> 24)", word);
+    default: return fmt::format("(({} >> {}) & 255u)", word, 8 * (lane % 4));
+  }
+}
+
+void LiteralConv::results(std::string& text, int64_t first, int64_t last, const std::string& y,
+                          const std::string& x, const std::function<std::string(int64_t oc)>& sum,
+                          const std::string& suffix) {
+  const Shape& taps = weight_shape();
+  const int64_t correction = 128 + input_zero_point();
+  const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
+  const ValueId result = problem_.group.result;
+  const int64_t channels = out()[3];
+  // The last tiles of a row or column may reach beyond the result.
+  text += fmt::format("  if ({} < {} && {} < {}) {{\n", x, out()[2], y, out()[1]);
+  // Int8 results are stored as wide as they lie together: stores cost by their number.
+  const bool is_int8 = graph_.value(result).type.dtype == DType::kInt8;
+  const int64_t width = !is_int8 || channels % 4 != 0                             ? 1
+                        : channels % 16 == 0 && first % 16 == 0 && last % 16 == 0 ? 16
+                                                                                  : 4;
+  std::string packed;
+  for (int64_t oc = first; oc < last; ++oc) {
+    int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
+    for (int64_t k = 0; correction != 0 && k < taps[1] * taps[2] * taps[3]; ++k)
+      offset -=
+          correction * weight(oc, k / (taps[2] * taps[3]), k / taps[3] % taps[2], k % taps[3]);
+    const std::string own = fmt::format("{}_{}", suffix, oc);
+    text += fmt::format("  int h{} = {} + {};\n", own, sum(oc),
+                        Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(offset))));
+    codegen_.locals()[node_.output] = "h" + own;
+    const Position at{{"n", y, x, std::to_string(oc)}, {}};
+    codegen_.epilogue(text, at, own);
+    const std::string value = codegen_.load(result, at);
+    if (width == 1) {
+      text += codegen_.store(result, at, value);
+      continue;
+    }
+    packed += oc % 4 < 3 ? fmt::format("(({} & 255) << {}) | ", value, 8 * (oc % 4))
+                         : fmt::format("({} << 24)", value);
+    if ((oc + 1) % width == 0) {
+      const ImageFormat format = width == 16 ? ImageFormat::kRgba32Uint : ImageFormat::kR32Uint;
+      text += fmt::format("  b{}.d[((n * {} + {}) * {} + {}) * {} + {}] = {}({});\n",
+                          codegen_.bind(result, BindingType::kStorageBuffer, format, true),
+                          out()[1], y, out()[2], x, channels / width, oc / width,
+                          width == 16 ? "uvec4" : "uint", packed);
+      packed.clear();
+    } else if (oc % 4 == 3) {
+      packed += ", ";
+    }
+  }
+  text += "  }\n";
+}
+
+bool LiteralConv::fits_grid(int64_t grid_x, int64_t grid_y, int64_t batch) {
+  return ceil_div(grid_x, local_x(grid_x)) <= kMaxWorkgroups && grid_y <= kMaxWorkgroups &&
+         batch <= kMaxWorkgroups;
+}
+
+/// Invocations of a workgroup, along x: as many as leave few idle at the end of a row. Lanes come in
+/// eights, and small workgroups cost next to nothing on a CPU.
+int64_t LiteralConv::local_x(int64_t grid_x) {
+  for (int64_t local = kLiteralLocalX; local > 8; local /= 2)
+    if ((ceil_div(grid_x, local) * local - grid_x) * 32 <= grid_x) return local;
+  return 8;
+}
+
+KernelSource LiteralConv::finish(const std::string& body, int64_t grid_x, int64_t grid_y) {
+  KernelSource source;
+  source.glsl = codegen_.finish(
+      fmt::format("local_size_x = {}", local_x(grid_x)),
+      fmt::format("  int x = int(gl_GlobalInvocationID.x);\n  int y = "
+                  "int(gl_GlobalInvocationID.y);\n  int n = int(gl_GlobalInvocationID.z);\n"
+                  "  if (x >= {}) return;\n",
+                  grid_x) +
+          body);
+  source.workgroups = {static_cast<uint32_t>(ceil_div(grid_x, local_x(grid_x))),
+                       static_cast<uint32_t>(grid_y), static_cast<uint32_t>(out()[0])};
+  source.bindings = codegen_.bindings();
+  source.is_literal = true;
+  return source;
+}
+
+int64_t TapMap::products(const LiteralConv& conv) const {
+  int64_t count = 0;
+  for (int64_t pixel = 0; pixel < tile_height * tile_width; ++pixel)
+    for (size_t texel = 0; texel < texels.size(); ++texel)
+      for (int64_t oc = 0; oc < conv.out()[3]; ++oc)
+        for (int64_t c = 0; c < conv.weight_shape()[3]; ++c)
+          count += weight(pixel, texel, oc, c) != 0;
+  return count;
+}
+
+double literal_time_us(const GroupProblem& problem, const DeviceProfile& profile,
+                       double arithmetic_us) {
+  const double memory = 1e-3 *
+                        static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written) /
+                        profile.bandwidth_gbps;
+  return std::max(arithmetic_us, memory) + profile.launch_us;
+}
+
+namespace {
+
+/// Output channels of a module: as many live sums as fit, or a part of them, in fours so that
+/// results make words; 0 if not even four channels fit.
+int64_t channels_per_module(const LiteralConv& conv, const TapMap& map, int64_t most_products) {
+  const int64_t channels = conv.out()[3];
+  const int64_t fit = most_products / map.products_per_channel;
+  if (fit >= channels) return channels;
+  return fit >= kLiveSums ? fit / kLiveSums * kLiveSums : fit / 4 * 4;
+}
+
+class TapEmitter {
+ public:
+  TapEmitter(const GroupProblem& problem, const TapMap& map, bool use_float)
+      : conv_(problem), map_(map), float_(use_float) {}
+
+  KernelSource module(int64_t first, int64_t last) {
+    const int64_t pixels = map_.tile_height * map_.tile_width;
+    const bool looped = pixels == 1 && (last - first) * static_cast<int64_t>(map_.texels.size()) *
+                                               conv_.weight_shape()[3] >
+                                           kLoopedProducts;
+    const int64_t rows = looped ? kLoopedRows : 1;
+    const int64_t live = looped ? kLoopedSums : kLiveSums;
+    std::string body;
+    for (int64_t oc = first; oc < last; oc += live) {
+      const int64_t end = std::min(last, oc + live);
+      const int64_t together = std::max<int64_t>(1, live / (end - oc));
+      for (int64_t pixel = 0; pixel < pixels; pixel += together)
+        body += pass(oc, end, pixel, std::min(pixels, pixel + together), rows);
+    }
+    return conv_.finish(body, ceil_div(conv_.out()[2], map_.tile_width),
+                        ceil_div(conv_.out()[1], map_.tile_height * rows));
+  }
+
+ private:
+  /// Channels [first, last) of the tile's pixels [pixel, end).
+  std::string pass(int64_t first, int64_t last, int64_t pixel, int64_t end, int64_t rows) {
+    std::string text =
+        rows == 1
+            ? std::string("  {\n  int row = y;\n")
+            : fmt::format("  for (int i = 0; i < {0}; ++i) {{\n  int row = y * {0} + i;\n", rows);
+    text += fmt::format("  int iy = row * {}, ix = x * {};\n  {} t;\n", map_.step_y, map_.step_x,
+                        conv_.texel_type());
+    const char* scalar = float_ ? "float" : "int";
+    for (int64_t p = pixel; p < end; ++p)
+      for (int64_t oc = first; oc < last; ++oc)
+        text += fmt::format("  {} a{}_{} = {};\n", scalar, p, oc, float_ ? "0.0" : "0");
+    text += fmt::format("  {} v;\n", scalar);
+    for (size_t texel = 0; texel < map_.texels.size(); ++texel)
+      for (int64_t c = 0; c < conv_.weight_shape()[3]; c += conv_.lanes()) {
+        const std::string terms = products(first, last, pixel, end, texel, c);
+        if (terms.empty()) continue;
+        const auto [row, column] = map_.texels[texel];
+        text += fmt::format("  t = {};\n", conv_.fetch(map_.source, c, plus("iy", row),
+                                                       plus("ix", column), map_.outside)) +
+                terms;
+      }
+    for (int64_t p = pixel; p < end; ++p) {
+      const auto at = [](const char* base, int64_t tile, int64_t offset) {
+        return fmt::format("({} * {} + {})", base, tile, offset);
+      };
+      conv_.results(
+          text, first, last, at("row", map_.tile_height, p / map_.tile_width),
+          at("x", map_.tile_width, p % map_.tile_width),
+          [&](int64_t oc) { return fmt::format("int(a{}_{})", p, oc); }, fmt::format("_{}", p));
+    }
+    return text + "  }\n";
+  }
+
+  /// What a texel's channels from `c` on add to the sums. One product a statement, channel by
+  /// channel: the order in which the fewest values are live at once.
+  std::string products(int64_t first, int64_t last, int64_t pixel, int64_t end, size_t texel,
+                       int64_t c) const {
+    std::string text;
+    for (int64_t lane = 0; lane < conv_.lanes(); ++lane) {
+      std::string sums;
+      for (int64_t p = pixel; p < end; ++p)
+        for (int64_t oc = first; oc < last; ++oc) {
+          const int64_t w = map_.weight(p, texel, oc, c + lane);
+          if (w != 0)
+            sums += fmt::format("  a{}_{} {}= v * {}{};\n", p, oc, w < 0 ? '-' : '+', std::abs(w),
+                                float_ ? ".0" : "");
+        }
+      if (!sums.empty())
+        text +=
+            fmt::format("  v = {}({});\n", float_ ? "float" : "int", conv_.byte("t", lane)) + sums;
+    }
+    return text;
+  }
+
+  LiteralConv conv_;
+  const TapMap& map_;
+  bool float_;
+};
+
+}  // namespace
+
+std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map, bool use_float,
+                                    int64_t most_products) {
+  const LiteralConv conv(problem);
+  const int64_t channels = conv.out()[3], step = channels_per_module(conv, map, most_products);
+  std::vector<KernelSource> sources;
+  for (int64_t first = 0; first < channels; first += step)
+    sources.push_back(
+        TapEmitter(problem, map, use_float).module(first, std::min(channels, first + step)));
+  return sources;
+}
+
+std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,
+                                         int64_t most_products) {
+  const int64_t step = channels_per_module(conv, map, most_products);
+  if (step == 0 || !LiteralConv::fits_grid(ceil_div(conv.out()[2], map.tile_width),
+                                           ceil_div(conv.out()[1], map.tile_height), conv.out()[0]))
+    return std::nullopt;
+  return ceil_div(conv.out()[3], step);
+}
+
+}  // namespace shale

@@ -1,0 +1,111 @@
+// compiler/kernels/literal_conv.h -- what the families share that write weights into the code.
+//
+// Stored int8 codes are multiplied as unsigned bytes, u = q + 128: a byte of a fetched word becomes
+// a number by one mask or shift, and with the usual zero point of -128 it is x - zp itself. What
+// the offset adds, (128 + zp) * sum(w), comes off the bias.
+#pragma once
+
+#include <functional>
+#include <set>
+
+#include "compiler/kernels/codegen.h"
+
+namespace shale {
+
+/// Sums that stay in registers: about what CPU drivers have vector registers for.
+inline constexpr int64_t kLiveSums = 16;
+/// Float32 holds integers below this exactly.
+inline constexpr int64_t kFloatExact = int64_t{1} << 24;
+/// Most invocations of a workgroup, along x.
+inline constexpr int64_t kLiteralLocalX = 64;
+
+/// A conv2d of int8 with constant weights and bias and what is fused around it; writes fetches and
+/// results, while the families write the sums in between.
+class LiteralConv {
+ public:
+  /// True for a group that this class can express on the profile: fetches can follow its views, and
+  /// its tensors fit texel buffers.
+  static bool supports(const GroupProblem& problem, const DeviceProfile& profile);
+
+  explicit LiteralConv(const GroupProblem& problem);
+
+  const Graph& graph() const { return graph_; }
+  const Node& node() const { return node_; }
+  Codegen& codegen() { return codegen_; }
+  /// OHWI.
+  const Shape& weight_shape() const { return weight_.type.shape; }
+  /// Zero point taken off.
+  int64_t weight(int64_t oc, int64_t ky, int64_t kx, int64_t c) const;
+  /// NHWC of the convolution's result.
+  const Shape& out() const { return graph_.value(node_.output).type.shape; }
+  int64_t input_zero_point() const { return graph_.value(node_.inputs[3]).constant->get(0); }
+  std::span<const int64_t> ints(Attr attr) const { return node_.attrs.list(attr); }
+  /// The node of the group that makes `id`, or null.
+  const Node* folded(ValueId id) const;
+
+  /// Channels of a fetch: 16 (uvec4), 4 or 1 (uint), the most that every fetched tensor allows.
+  int64_t lanes() const { return lanes_; }
+  const char* texel_type() const { return lanes_ == 16 ? "uvec4" : "uint"; }
+  /// Expression of `lanes()` channels from `c` on of value `id` at row y, column x of image n, as
+  /// bytes u; outside the value each is u of the code `outside`.
+  std::string fetch(ValueId id, int64_t c, const std::string& y, const std::string& x,
+                    int64_t outside);
+  /// Expression (uint) of one channel of the texel in variable `texel`.
+  std::string byte(const std::string& texel, int64_t lane) const;
+
+  /// Appends bias, fused elementwise nodes and stores for channels [first, last) of the result at
+  /// row y, column x, guarded where (y, x) may lie outside. `sum` gives the int expression of the
+  /// sum of w * u; `suffix` keeps the locals of unrolled copies apart.
+  void results(std::string& text, int64_t first, int64_t last, const std::string& y,
+               const std::string& x, const std::function<std::string(int64_t oc)>& sum,
+               const std::string& suffix);
+
+  /// `x`, `y`, `n` are the invocation's ids; grid in invocations.
+  KernelSource finish(const std::string& body, int64_t grid_x, int64_t grid_y);
+  /// True if a grid of so many invocations can be dispatched.
+  static bool fits_grid(int64_t grid_x, int64_t grid_y, int64_t batch);
+
+ private:
+  static int64_t local_x(int64_t grid_x);
+  std::vector<int64_t> leaf_channels(ValueId id) const;
+  std::string inside(ValueId id, int64_t c);
+
+  const GroupProblem& problem_;
+  const Graph& graph_;
+  const Node& node_;
+  const Tensor& weight_;
+  std::vector<std::optional<NodeId>> producers_;
+  Codegen codegen_;
+  int64_t lanes_ = 1;
+  std::set<std::string> functions_;
+};
+
+/// Time of a dispatch whose arithmetic takes `arithmetic_us`.
+double literal_time_us(const GroupProblem& problem, const DeviceProfile& profile,
+                       double arithmetic_us);
+
+/// A convolution as sums over texels of one value: an invocation makes a tile of output pixels, and
+///   sum(pixel, oc) = sum over texels and c of weight(pixel, texel, oc, c) * u(texel, c).
+struct TapMap {
+  ValueId source;
+  int64_t outside = 0;                         ///< code that a texel outside of `source` has
+  int64_t tile_height = 1, tile_width = 1;     ///< output pixels of an invocation
+  int64_t step_y = 1, step_x = 1;              ///< source texels from invocation to invocation
+  std::vector<std::array<int64_t, 2>> texels;  ///< (row, column) from the invocation's first texel
+  int64_t products_per_channel = 0;  ///< with all weights of an output channel other than 0
+  std::function<int64_t(int64_t pixel, size_t texel, int64_t oc, int64_t c)> weight;
+
+  /// Products with weights that are not 0.
+  int64_t products(const LiteralConv& conv) const;
+};
+
+/// Code for the map, in float32 or in int32 arithmetic, as few modules as `most_products` (in one
+/// module) allows.
+std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map, bool use_float,
+                                    int64_t most_products);
+/// Number of modules of emit_taps; nothing if even a part of the channels is too much for one, or
+/// the grid too large to be dispatched.
+std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,
+                                         int64_t most_products);
+
+}  // namespace shale

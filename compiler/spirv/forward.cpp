@@ -1,0 +1,170 @@
+#include "compiler/spirv/forward.h"
+
+#include <algorithm>
+#include <span>
+#include <spirv/unified1/spirv.hpp>
+#include <vector>
+
+namespace shale {
+namespace {
+
+constexpr size_t kHeaderWords = 5;
+constexpr uint32_t kNone = UINT32_MAX;
+
+/// Where the operands that are ids lie in an instruction, in words from its first one.
+struct IdRange {
+  size_t begin = 0, end = 0;
+};
+
+/// Ids that an instruction in a function uses; nothing for one that is not known.
+bool used_ids(std::span<const uint32_t> words, std::vector<IdRange>& ranges) {
+  const auto op = static_cast<spv::Op>(words[0] & 0xffffu);
+  const size_t count = words.size();
+  ranges.clear();
+  const auto ids = [&](size_t begin, size_t end) {
+    if (begin < std::min(end, count)) ranges.push_back({begin, std::min(end, count)});
+    return true;
+  };
+  switch (op) {
+    case spv::OpFunction:
+    case spv::OpFunctionParameter:
+    case spv::OpFunctionEnd:
+    case spv::OpLabel:
+    case spv::OpReturn:
+    case spv::OpUnreachable:
+    case spv::OpKill:
+    case spv::OpUndef:
+    case spv::OpNop: return true;
+    case spv::OpVariable: return ids(4, count);
+    case spv::OpLoad: return ids(3, 4);
+    case spv::OpStore: return ids(1, 3);
+    case spv::OpBranch:
+    case spv::OpReturnValue: return ids(1, 2);
+    case spv::OpBranchConditional: return ids(1, 4);
+    case spv::OpSelectionMerge: return ids(1, 2);
+    case spv::OpLoopMerge: return ids(1, 3);
+    case spv::OpCompositeExtract: return ids(3, 4);
+    case spv::OpCompositeInsert:
+    case spv::OpVectorShuffle: return ids(3, 5);
+    case spv::OpExtInst: ids(3, 4); return ids(5, count);
+    case spv::OpImageFetch: return ids(3, 5) && count <= 5;
+    case spv::OpFunctionCall:
+    case spv::OpAccessChain:
+    case spv::OpInBoundsAccessChain:
+    case spv::OpCompositeConstruct:
+    case spv::OpCopyObject:
+    case spv::OpImage:
+    case spv::OpPhi:
+    case spv::OpSelect: return ids(3, count);
+    default:
+      // Conversions, arithmetic, comparisons and bit operations: result type, result, operands.
+      if (op >= spv::OpConvertFToU && op <= spv::OpBitCount) return ids(3, count);
+      return false;
+  }
+}
+
+struct Variable {
+  bool eligible = false;
+  uint32_t block = kNone;  ///< the one block that uses it
+  bool one_block = true;
+  uint32_t value = kNone;  ///< known value in the current block
+  size_t last_store = 0;   ///< offset of the store whose value nobody has seen yet; 0 if none
+};
+
+}  // namespace
+
+Spirv forward_locals(const Spirv& words) {
+  if (words.size() < kHeaderWords) return words;
+  const uint32_t bound = words[3];
+  std::vector<Variable> variables(bound);
+  std::vector<IdRange> ranges;
+  const auto length = [&](size_t at) -> size_t { return words[at] >> 16; };
+  const auto op_at = [&](size_t at) { return static_cast<spv::Op>(words[at] & 0xffffu); };
+
+  // Which variables are only loaded and stored whole, and in which blocks.
+  uint32_t block = kNone;
+  bool in_function = false;
+  for (size_t at = kHeaderWords; at < words.size(); at += length(at)) {
+    if (length(at) == 0 || at + length(at) > words.size()) return words;
+    const std::span<const uint32_t> one(&words[at], length(at));
+    if (op_at(at) == spv::OpFunction) in_function = true;
+    if (!in_function) continue;
+    if (!used_ids(one, ranges)) return words;
+    if (op_at(at) == spv::OpLabel) block = one[1];
+    if (op_at(at) == spv::OpVariable && one[3] == spv::StorageClassFunction) {
+      variables[one[2]].eligible = one.size() == 4;
+      continue;
+    }
+    const bool plain = (op_at(at) == spv::OpLoad && one.size() == 4) ||
+                       (op_at(at) == spv::OpStore && one.size() == 3);
+    for (const IdRange& range : ranges)
+      for (size_t i = range.begin; i < range.end; ++i) {
+        Variable& variable = variables[one[i]];
+        const bool is_pointer = plain && i == (op_at(at) == spv::OpLoad ? 3u : 1u);
+        if (!is_pointer) variable.eligible = false;
+        if (variable.block == kNone) variable.block = block;
+        if (variable.block != block) variable.one_block = false;
+      }
+  }
+
+  // Values forwarded; stores that nothing sees are marked.
+  std::vector<uint32_t> replaced(bound, kNone);
+  std::vector<size_t> dropped;
+  std::vector<uint32_t> active;  // variables with a known value or a pending store
+  const auto value_of = [&](uint32_t id) { return replaced[id] == kNone ? id : replaced[id]; };
+  const auto end_block = [&] {
+    for (const uint32_t id : active) {
+      Variable& variable = variables[id];
+      if (variable.one_block && variable.last_store != 0) dropped.push_back(variable.last_store);
+      variable.value = kNone;
+      variable.last_store = 0;
+    }
+    active.clear();
+  };
+  in_function = false;
+  for (size_t at = kHeaderWords; at < words.size(); at += length(at)) {
+    if (op_at(at) == spv::OpFunction) in_function = true;
+    if (!in_function) continue;
+    if (op_at(at) == spv::OpLabel || op_at(at) == spv::OpFunctionEnd) end_block();
+    if (op_at(at) == spv::OpLoad && variables[words[at + 3]].eligible) {
+      Variable& variable = variables[words[at + 3]];
+      if (variable.value != kNone) {
+        replaced[words[at + 2]] = variable.value;
+        dropped.push_back(at);
+      } else {
+        // From before the block: the load stays, and is the value from here on.
+        active.push_back(words[at + 3]);
+        variable.value = words[at + 2];
+      }
+    } else if (op_at(at) == spv::OpStore && variables[words[at + 1]].eligible) {
+      Variable& variable = variables[words[at + 1]];
+      if (variable.last_store != 0) dropped.push_back(variable.last_store);
+      active.push_back(words[at + 1]);
+      variable.value = value_of(words[at + 2]);
+      variable.last_store = at;
+    }
+  }
+  std::sort(dropped.begin(), dropped.end());
+
+  Spirv result(words.begin(), words.begin() + kHeaderWords);
+  result.reserve(words.size());
+  auto next = dropped.begin();
+  in_function = false;
+  for (size_t at = kHeaderWords; at < words.size(); at += length(at)) {
+    if (next != dropped.end() && *next == at) {
+      ++next;
+      continue;
+    }
+    const std::span<const uint32_t> one(&words[at], length(at));
+    const size_t begin = result.size();
+    result.insert(result.end(), one.begin(), one.end());
+    if (op_at(at) == spv::OpFunction) in_function = true;
+    if (!in_function) continue;
+    used_ids(one, ranges);
+    for (const IdRange& range : ranges)
+      for (size_t i = range.begin; i < range.end; ++i) result[begin + i] = value_of(one[i]);
+  }
+  return result;
+}
+
+}  // namespace shale
