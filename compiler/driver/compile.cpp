@@ -169,10 +169,19 @@ class VariantBuilder {
 
   Result<Emitted> emit_group(const GroupProblem& problem) const {
     Emitted emitted;
-    emitted.family = &select_kernel(problem, profile_, options_.kernels);
+    const std::string& name = graph_.value(problem.group.result).name;
+    if (const auto choice = options_.choices.find(name); choice != options_.choices.end()) {
+      emitted.family = find_kernel(choice->second);
+      if (!emitted.family || !emitted.family->supports(problem, profile_))
+        return bad_input("--choices", "\"{}\" cannot make \"{}\" for {}", choice->second, name,
+                         profile_.name);
+    } else {
+      emitted.family = options_.prefer.empty() ? nullptr : find_kernel(options_.prefer);
+      if (!emitted.family || !emitted.family->supports(problem, profile_))
+        emitted.family = &select_kernel(problem, profile_, options_.kernels);
+    }
     SHALE_TRY(emitted.sources, emitted.family->emit(problem, profile_));
     emitted.time_us = emitted.family->time_us(problem, profile_);
-    const std::string& name = graph_.value(problem.group.result).name;
     for (size_t part = 0; part < emitted.sources.size(); ++part) {
       std::string& own =
           emitted.names.emplace_back(part == 0 ? name : fmt::format("{}#{}", name, part));
@@ -481,6 +490,7 @@ std::string options_text(const CompileOptions& options) {
   std::string text =
       fmt::format("optimize={} kernels=[{}] spirv_opt={}", options.pass_options.optimize,
                   fmt::join(options.kernels, ","), options.optimize_spirv);
+  for (const auto& [name, kernel] : options.choices) text += fmt::format(" {}:{}", name, kernel);
   for (const auto& [name, shape] : options.passes.input_shapes)
     text += fmt::format(" {}={}", name, shape_text(shape));
   return text;
@@ -528,12 +538,8 @@ Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& o
 Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& given) {
   CompileOptions options = given;
   if (options.frame) SHALE_TRY_VOID(size_inputs(graph, options));
-  for (const std::string& kernel : options.kernels) {
-    const auto known = all_kernels();
-    if (std::none_of(known.begin(), known.end(),
-                     [&](const KernelFamily& family) { return family.name == kernel; }))
-      return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
-  }
+  for (const std::string& kernel : options.kernels)
+    if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   Compiled compiled;
   SHALE_TRY(compiled.timings, run_pipeline(graph, options.passes, options.pass_options));
   give_outputs_nodes(graph);

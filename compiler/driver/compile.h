@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <optional>
 #include <span>
 #include <string>
@@ -20,6 +21,10 @@ struct CompileOptions {
   PassOptions pass_options;
   std::vector<std::string>
       kernels;  ///< families to choose from; empty is all. "generic" always may serve
+  /// Family by the name of a group's result: what was measured to be fastest. Others are selected.
+  std::map<std::string, std::string> choices;
+  std::string
+      prefer;  ///< family of every group that it supports and `choices` leaves; empty is none
   bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
   bool optimize_spirv = true;
   std::optional<Frame> frame;  ///< with it the package holds pre and post passes too

@@ -64,6 +64,8 @@ int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile& 
 int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfile& profile);
 
 std::span<const KernelFamily> all_kernels();
+/// Null if there is no family of that name.
+const KernelFamily* find_kernel(std::string_view name);
 
 /// The family of least estimated time, with its share of the driver's compile time, among those that
 /// support the group; table order breaks ties.

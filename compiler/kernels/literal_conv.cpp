@@ -8,7 +8,7 @@ namespace {
 /// From this many products on a module's passes become loops over rows: code that is run several
 /// times in a row is fetched once into the processor's instruction cache, and compilers take short
 /// blocks faster than one long one.
-constexpr int64_t kLoopedProducts = 9216;
+constexpr int64_t kLoopedProducts = 20480;
 constexpr int64_t kLoopedRows = 4, kLoopedSums = 8;
 
 const Node& head_of(const GroupProblem& problem) {

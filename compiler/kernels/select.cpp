@@ -28,6 +28,12 @@ double weighed_us(const KernelFamily& family, const GroupProblem& problem,
 
 std::span<const KernelFamily> all_kernels() { return kKernels; }
 
+const KernelFamily* find_kernel(std::string_view name) {
+  for (const KernelFamily& family : kKernels)
+    if (family.name == name) return &family;
+  return nullptr;
+}
+
 const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfile& profile,
                                   std::span<const std::string> allowed) {
   const KernelFamily& generic = kKernels[std::size(kKernels) - 1];  // supports everything

@@ -90,6 +90,16 @@ Spirv forward_locals(const Spirv& words) {
     if (op_at(at) == spv::OpFunction) in_function = true;
     if (!in_function) continue;
     if (!used_ids(one, ranges)) return words;
+    const size_t least = op_at(at) == spv::OpLoad || op_at(at) == spv::OpVariable ? 4
+                         : op_at(at) == spv::OpStore                              ? 3
+                         : op_at(at) == spv::OpLabel                              ? 2
+                                                                                  : 1;
+    if (one.size() < least) return words;
+    for (size_t i = 1; i < least; ++i)
+      if (one[i] >= bound && !(op_at(at) == spv::OpVariable && i == 3)) return words;
+    for (const IdRange& range : ranges)
+      for (size_t i = range.begin; i < range.end; ++i)
+        if (one[i] >= bound) return words;
     if (op_at(at) == spv::OpLabel) block = one[1];
     if (op_at(at) == spv::OpVariable && one[3] == spv::StorageClassFunction) {
       variables[one[2]].eligible = one.size() == 4;

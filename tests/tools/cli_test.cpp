@@ -62,7 +62,7 @@ TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
   for (const char* command : {"compile", "run", "play", "report", "dump", "verify", "conform",
-                              "doctor", "diff", "scene", "eval"}) {
+                              "doctor", "diff", "scene", "eval", "bench", "tune"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -232,6 +232,58 @@ TEST_F(Cli, ReportCountsTheSrpoParameters) {
   EXPECT_TRUE(outcome.text.find("8,434") != std::string::npos ||
               outcome.text.find("8434") != std::string::npos)
       << outcome.text;
+}
+
+TEST_F(Cli, BenchComparesWithTheRoofAndTheNaiveKernel) {
+  const Outcome outcome =
+      shale("bench " + file("small.tir") + " --naive --start --repeat 3 --json");
+  ASSERT_EQ(outcome.exit, 0) << outcome.text;
+  const nlohmann::json json = nlohmann::json::parse(outcome.text);
+  EXPECT_GE(json["roofs"].size(), 5u);
+  for (const auto& roof : json["roofs"]) EXPECT_GT(roof["rate"], 0) << roof;
+  const nlohmann::json& model = json["models"][0];
+  ASSERT_EQ(model["dispatches"].size(), 1u);
+  const nlohmann::json& total = model["total"];
+  EXPECT_DOUBLE_EQ(total["gop"], 2e-9 * 16 * 9);
+  EXPECT_NEAR(total["gop_per_s"].get<double>(),
+              1e3 * total["gop"].get<double>() / total["time_ms"].get<double>(), 1e-6);
+  EXPECT_GT(total["times_naive"], 0);
+  EXPECT_GT(model["first_start"]["first_run_ms"], 0);
+  EXPECT_GT(model["second_start"]["create_ms"], 0);
+  const Outcome table = shale("bench " + file("small.tir") + " --repeat 3");
+  EXPECT_NE(table.text.find("f32 mul+add"), std::string::npos) << table.text;
+}
+
+TEST_F(Cli, TuneWritesChoicesThatCompileObeys) {
+  const Outcome tuned = shale("tune " + file("small.tir") + " -o " + file("c.json") +
+                              " --repeat 3 --without generic");
+  ASSERT_EQ(tuned.exit, 0) << tuned.text;
+  nlohmann::json choices = nlohmann::json::parse(read(file("c.json")));
+  EXPECT_EQ(choices["schema"], "shale-choices/1");
+  ASSERT_TRUE(choices["choices"].contains("y")) << choices;
+  // The choice is obeyed, whatever selection would take.
+  for (const char* kernel : {"conv2d_s8_i32", "generic"}) {
+    choices["choices"]["y"] = kernel;
+    write(file("c.json"), choices.dump());
+    const Outcome run = shale("run " + file("small.tir") +
+                              " --random 1 --check --profile --choices " + file("c.json"));
+    EXPECT_EQ(run.exit, 0) << run.text;
+    EXPECT_NE(run.text.find(kernel), std::string::npos) << run.text;
+  }
+  const std::pair<const char*, const char*> refused[] = {
+      {R"({"schema":"shale-choices/1","choices":{"y":"nonsense"}})", "choices.y"},
+      {R"({"schema":"shale-choices/1","choices":{"y":"conv2d_s8_phase"}})", "conv2d_s8_phase"},
+      {R"({"schema":"shale-choices/1"})", "shale-choices/1"},
+      {R"({"schema":"other","choices":{}})", "shale-choices/1"},
+      {"nonsense", "shale-choices/1"}};
+  for (const auto& [text, expected] : refused) {
+    write(file("c.json"), text);
+    const Outcome outcome = shale("compile " + file("small.tir") + " -o " + file("s.shale") +
+                                  " --choices " + file("c.json"));
+    EXPECT_EQ(outcome.exit, 1) << text;
+    EXPECT_NE(outcome.text.find(expected), std::string::npos) << outcome.text;
+    EXPECT_FALSE(fs::exists(file("s.shale")));
+  }
 }
 
 }  // namespace

@@ -128,6 +128,21 @@ Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text)
   return std::pair{text.substr(0, equals), std::move(shape)};
 }
 
+Result<std::map<std::string, std::string>> read_choices(const std::string& path) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  const Json json = Json::parse(bytes.begin(), bytes.end(), nullptr, false);
+  if (!json.is_object() || json.value("schema", Json()) != kChoicesSchema ||
+      !json.contains("choices") || !json["choices"].is_object())
+    return bad_input(path, "is no file of shale tune, expected schema {}", kChoicesSchema);
+  std::map<std::string, std::string> choices;
+  for (const auto& [name, kernel] : json["choices"].items()) {
+    if (!kernel.is_string() || !find_kernel(kernel.get<std::string>()))
+      return bad_input(path, "choices.{}: expected the name of a kernel family", name);
+    choices[name] = kernel.get<std::string>();
+  }
+  return choices;
+}
+
 void CompileArguments::add_to(CLI::App& app) {
   app.add_option("--input-shape", input_shapes,
                  "shape of a graph input, NAME=N,H,W,C (again for each input)")
@@ -135,6 +150,7 @@ void CompileArguments::add_to(CLI::App& app) {
   app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")
       ->delimiter(',')
       ->allow_extra_args(false);
+  app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -158,11 +174,10 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   CompileOptions options;
   options.targets = targets;
   options.kernels = kernels;
-  for (const std::string& kernel : kernels) {
-    const auto known = all_kernels();
-    if (std::none_of(known.begin(), known.end(),
-                     [&](const KernelFamily& family) { return family.name == kernel; }))
-      return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
+  for (const std::string& kernel : kernels)
+    if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
+  if (!choices.empty()) {
+    SHALE_TRY(options.choices, read_choices(choices));
   }
   for (const std::string& text : input_shapes) {
     SHALE_TRY(auto shape, parse_input_shape(text));

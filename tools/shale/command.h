@@ -73,7 +73,7 @@ struct CompileArguments {
   std::vector<std::string> input_shapes;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
-  std::string frame, render, output;
+  std::string frame, render, output, choices;
   double ratio = 0;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
@@ -82,6 +82,12 @@ struct CompileArguments {
   /// Errors: kBadInput for an option that cannot be understood.
   Result<CompileOptions> options(const ModelFiles& model) const;
 };
+
+/// What `shale tune` writes: JSON of this schema.
+inline constexpr const char* kChoicesSchema = "shale-choices/1";
+/// Kernel family by layer, from a file of `shale tune`.
+/// Errors: kIo, kBadInput naming the file and the field.
+Result<std::map<std::string, std::string>> read_choices(const std::string& path);
 
 /// "960x540" to a size.
 /// Errors: kBadInput naming the option.

@@ -1,6 +1,7 @@
 #include "tools/shale/device_run.h"
 
 #include <algorithm>
+#include <chrono>
 
 #include "compiler/passes/pass.h"
 #include "runtime/datagraph/pipeline.h"
@@ -63,12 +64,18 @@ std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTim
 
 Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
                                         const std::vector<Tensor>& inputs, uint32_t repeat,
-                                        std::vector<DispatchTime>* times) {
+                                        std::vector<DispatchTime>* times, StartTimes* start) {
+  using Clock = std::chrono::steady_clock;
+  const auto since_ms = [](Clock::time_point begin) {
+    return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
+  };
+  const Clock::time_point begin = Clock::now();
   const vk::Context& context = device.context();
   SHALE_TRY(const DataGraphPipeline pipeline,
             DataGraphPipeline::create(context, package, {.cache = device.cache()}));
   SHALE_TRY(Session session, Session::create(pipeline));
   SHALE_TRY_VOID(session.allocate_memory());
+  if (start) start->create_ms = since_ms(begin);
 
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
@@ -103,6 +110,7 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
   const uint32_t warm_up = times ? 1 : 0;
   for (uint32_t i = 0; i < repeat + warm_up; ++i) {
     Result<void> recorded;
+    const Clock::time_point run = Clock::now();
     SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
       if (timestamps) timestamps->start(commands);
       recorded = session.record(commands, timestamps ? &*timestamps : nullptr);
@@ -110,6 +118,7 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
                          VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
     }));
     SHALE_TRY_VOID(recorded);
+    if (start && i == 0) start->first_ms = since_ms(run);
     if (timestamps && i >= warm_up) {
       SHALE_TRY(std::vector<DispatchTime> frame, measured_times(*timestamps, segments));
       measured.push_back(std::move(frame));

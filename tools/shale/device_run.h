@@ -48,13 +48,20 @@ class ToolDevice {
   std::unique_ptr<vk::PipelineCache> cache_;  ///< null without a file for it
 };
 
+/// What stands before the first result.
+struct StartTimes {
+  double create_ms = 0;  ///< pipelines, weights, session
+  double first_ms = 0;   ///< first run, in which drivers may go on compiling
+};
+
 /// Runs the package's graph `repeat` times on the inputs, in the order of the graph; returns the
 /// outputs of the last run. With `times`, the median over the runs of each dispatch, after one run
-/// that is not measured.
+/// that is not measured; with `start`, how long it took to get there.
 /// Errors: kBadInput if inputs do not match the package, kDevice.
 Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
                                         const std::vector<Tensor>& inputs, uint32_t repeat = 1,
-                                        std::vector<DispatchTime>* times = nullptr);
+                                        std::vector<DispatchTime>* times = nullptr,
+                                        StartTimes* start = nullptr);
 
 /// Element-wise median over several measured frames; all have the same dispatches.
 std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames);

@@ -1,6 +1,6 @@
 // shale doctor: which devices there are, what they can do, which kernels they will get, what is
 // missing.
-#include "compiler/target/profile.h"
+#include "compiler/kernels/kernel.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/instance.h"
 #include "tools/shale/command.h"
@@ -22,6 +22,14 @@ std::vector<std::string> lacking(const DeviceCaps& caps) {
   return missing(caps, needs);
 }
 
+/// Families that packages for the profile choose from.
+Json kernels_of(const DeviceProfile& profile) {
+  Json names = Json::array();
+  for (const KernelFamily& family : all_kernels())
+    if (!family.literals || profile.literal_weights) names.push_back(family.name);
+  return names;
+}
+
 Json describe(const DeviceCaps& caps) {
   Json features = Json::object();
   for (uint32_t i = 0; i < kFeatureCount; ++i)
@@ -38,8 +46,7 @@ Json describe(const DeviceCaps& caps) {
           {"storage_range_bytes", caps.max_storage_range_bytes},
           {"texel_elements", caps.max_texel_elements},
           {"target", target},
-          {"kernels",
-           caps.cpu ? Json{"conv2d_s8_f32exact", "conv2d_s8_i32", "generic"} : Json{"generic"}},
+          {"kernels", kernels_of(*find_profile(target))},
           {"missing", lacking(caps)}};
 }
 

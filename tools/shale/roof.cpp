@@ -1,0 +1,151 @@
+#include "tools/shale/roof.h"
+
+#include <algorithm>
+
+#include "compiler/spirv/check.h"
+#include "compiler/spirv/glsl.h"
+
+namespace shale {
+namespace {
+
+constexpr uint32_t kLocal = 64;
+constexpr const char* kMulAdd = "f32 mul+add";
+
+/// A kernel that reads `x` and writes `y`, and what it does once for each invocation.
+struct Probe {
+  std::string body;  ///< statements; `x` is a varying int, the result goes to `r` (int)
+  double work = 0;   ///< operations or bytes of an invocation
+  uint32_t groups = 1024;
+  bool texels = false;  ///< reads x through a texel buffer of 16 bytes a texel
+  std::string declarations;
+};
+
+/// `sums` accumulators in a loop of `steps`, each updated `unroll` times by `update`, where {0} is the
+/// accumulator's number and {1} a literal; x changes between updates, so that nothing folds.
+Probe arithmetic(const char* type, const char* update, const char* change, int sums, int unroll,
+                 double work_per_update) {
+  constexpr int kSteps = 256;
+  Probe probe;
+  probe.body = fmt::format("  {0} v = {0}(x);\n", type);
+  for (int i = 0; i < sums; ++i) probe.body += fmt::format("  {0} a{1} = {0}({1});\n", type, i);
+  probe.body += fmt::format("  for (int k = 0; k < {}; ++k) {{\n", kSteps / unroll);
+  for (int j = 0; j < unroll; ++j) {
+    for (int i = 0; i < sums; ++i)
+      probe.body += "    " + fmt::format(fmt::runtime(update), i, 37 + i + sums * (j % 4)) + ";\n";
+    probe.body += fmt::format("    {};\n", change);
+  }
+  probe.body += "  }\n  int r = 0";
+  for (int i = 0; i < sums; ++i) probe.body += fmt::format(" + int(a{})", i);
+  probe.body += ";\n";
+  probe.work = work_per_update * sums * (kSteps / unroll) * unroll;
+  return probe;
+}
+
+/// Median time of a run in microseconds.
+Result<double> time_us(const ToolDevice& device, const Probe& probe, uint32_t repeat) {
+  constexpr int64_t kInputWords = 1 << 20;
+  const std::string source =
+      "#version 450\n#extension GL_EXT_spirv_intrinsics : enable\n" + probe.declarations +
+      fmt::format(
+          "layout(local_size_x = {}) in;\n"
+          "layout(set = 0, binding = 0, std430) writeonly buffer Y {{ int y[]; }};\n{}",
+          kLocal,
+          probe.texels ? "layout(set = 0, binding = 1) uniform usamplerBuffer v;\n"
+                       : "layout(set = 0, binding = 1, std430) readonly buffer X { ivec4 "
+                         "v[]; };\n") +
+      "void main() {\n  int id = int(gl_GlobalInvocationID.x);\n" +
+      (probe.texels ? "  int x = id;\n" : "  int x = v[id & 3].x + id;\n") + probe.body +
+      "  y[id] = r;\n}\n";
+  SHALE_TRY(const Spirv words, compile_glsl(source, {}, "roof"));
+  SHALE_TRY(const SpirvNeeds needs, spirv_needs(words, "roof"));
+  Package package;
+  Variant variant;
+  variant.target = "roof";
+  Resource x, y;
+  x.name = "x", x.category = Category::kInput;
+  x.dtype = DType::kInt8, x.shape = {4 * kInputWords}, x.size_bytes = 4 * kInputWords;
+  y.name = "y", y.category = Category::kOutput, y.dtype = DType::kInt32;
+  y.shape = {int64_t{probe.groups} * kLocal}, y.size_bytes = uint64_t{4} * probe.groups * kLocal;
+  variant.resources = {x, y};
+  variant.modules = {words};
+  Dispatch dispatch;
+  dispatch.name = "y";
+  dispatch.kernel = "roof";
+  dispatch.workgroups = {probe.groups, 1, 1};
+  dispatch.bindings = {
+      {0, BindingType::kStorageBuffer, 1, ImageFormat::kNone, false, true, 0},
+      {1, probe.texels ? BindingType::kUniformTexelBuffer : BindingType::kStorageBuffer, 0,
+       probe.texels ? ImageFormat::kRgba32Uint : ImageFormat::kNone, true, false, 0}};
+  variant.segments = {{"graph", SegmentKind::kGraph, {dispatch}}};
+  variant.requirements = binding_requirements(variant);
+  variant.requirements.features = needs.features;
+  variant.requirements.workgroup_invocations = kLocal;
+  package.variants = {variant};
+  std::vector<DispatchTime> times;
+  SHALE_TRY(const std::vector<Tensor> outputs,
+            run_network(device, package, {Tensor::zeros({x.dtype, x.shape})}, repeat, &times));
+  return times[0].time_us;
+}
+
+/// The best rate of several probes of one thing, in operations or bytes per nanosecond.
+Result<double> best_rate(const ToolDevice& device, const std::vector<Probe>& probes,
+                         uint32_t repeat) {
+  double best = 0;
+  for (const Probe& probe : probes) {
+    SHALE_TRY(const double us, time_us(device, probe, repeat));
+    best = std::max(best, 1e-3 * probe.work * probe.groups * kLocal / std::max(us, 1e-3));
+  }
+  return best;
+}
+
+}  // namespace
+
+Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat) {
+  std::vector<Roof> roofs;
+  const auto add = [&](const char* name, const char* unit,
+                       const std::vector<Probe>& probes) -> Result<void> {
+    SHALE_TRY(const double rate, best_rate(device, probes, repeat));
+    roofs.push_back({name, rate, unit});
+    return {};
+  };
+  SHALE_TRY_VOID(add(kMulAdd, "GOP/s",
+                     {arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 12, 4, 2),
+                      arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 16, 16, 2),
+                      arithmetic("float", "a{0} = a{0} * v + {1}.0", "v *= 0.5", 16, 4, 2)}));
+  SHALE_TRY_VOID(add("f32 fma", "GOP/s",
+                     {arithmetic("float", "a{0} = fma(v, {1}.0, a{0})", "v += 1.0", 12, 4, 2),
+                      arithmetic("float", "a{0} = fma(v, {1}.0, a{0})", "v += 1.0", 16, 16, 2)}));
+  SHALE_TRY_VOID(add("i32 mul+add", "GOP/s",
+                     {arithmetic("int", "a{0} += v * {1}", "v = v * v + 77", 12, 4, 2),
+                      arithmetic("int", "a{0} = a{0} * v + {1}", "v ^= 5", 12, 4, 2)}));
+  if (device.context().caps.features.has(Feature::kDotProduct8)) {
+    Probe dot =
+        arithmetic("int", "a{0} += dot8(v, {1} * 0x01030507, 0)", "v = v * 5 + 77", 12, 4, 8);
+    // Source: SPIR-V 1.6, OpSDot with the packed format 0.
+    dot.declarations =
+        "spirv_instruction(extensions = [\"SPV_KHR_integer_dot_product\"], capabilities = [6018, "
+        "6019], id = 4450)\nint dot8(int a, int b, spirv_literal int format);\n";
+    SHALE_TRY_VOID(add("int8 dot product", "GOP/s", {dot}));
+  }
+  constexpr int kReads = 64;
+  Probe fetch{
+      .body = "  uvec4 s = uvec4(0);\n", .work = 16.0 * kReads, .texels = true, .declarations = {}};
+  for (int i = 0; i < kReads; ++i)
+    fetch.body += fmt::format("  s += texelFetch(v, (x + {}) & 0x3ffff);\n", 61 * i);
+  fetch.body += "  int r = int(s.x + s.y + s.z + s.w);\n";
+  SHALE_TRY_VOID(add("texel fetch", "GB/s", {fetch}));
+  Probe read{.body = "  ivec4 s = ivec4(0);\n", .work = 16.0 * kReads, .declarations = {}};
+  for (int i = 0; i < kReads; ++i)
+    read.body += fmt::format("  s += v[(x + {}) & 0x3ffff];\n", 61 * i);
+  read.body += "  int r = s.x + s.y + s.z + s.w;\n";
+  SHALE_TRY_VOID(add("storage buffer read", "GB/s", {read}));
+  return roofs;
+}
+
+double mul_add_roof(const std::vector<Roof>& roofs) {
+  for (const Roof& roof : roofs)
+    if (roof.name == kMulAdd) return roof.rate;
+  return 0;
+}
+
+}  // namespace shale
