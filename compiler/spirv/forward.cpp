@@ -10,6 +10,8 @@ namespace {
 
 constexpr size_t kHeaderWords = 5;
 constexpr uint32_t kNone = UINT32_MAX;
+constexpr uint32_t kExtends =
+    uint32_t{spv::ImageOperandsSignExtendMask} | uint32_t{spv::ImageOperandsZeroExtendMask};
 
 /// Where the operands that are ids lie in an instruction, in words from its first one.
 struct IdRange {
@@ -47,7 +49,9 @@ bool used_ids(std::span<const uint32_t> words, std::vector<IdRange>& ranges) {
     case spv::OpCompositeInsert:
     case spv::OpVectorShuffle: return ids(3, 5);
     case spv::OpExtInst: ids(3, 4); return ids(5, count);
-    case spv::OpImageFetch: return ids(3, 5) && count <= 5;
+    case spv::OpImageFetch:
+      // Of the image operands, those without an id of their own.
+      return ids(3, 5) && (count == 5 || (count == 6 && (words[5] & ~kExtends) == 0));
     case spv::OpFunctionCall:
     case spv::OpAccessChain:
     case spv::OpInBoundsAccessChain:
@@ -63,6 +67,14 @@ bool used_ids(std::span<const uint32_t> words, std::vector<IdRange>& ranges) {
   }
 }
 
+/// An OpAccessChain to one component of a variable, by the id of the pointer.
+struct Component {
+  uint32_t variable = kNone;
+  uint32_t index = 0;
+  uint32_t loads = 0;  ///< all its uses, if it is eligible
+  uint32_t taken = 0;  ///< loads that became extractions
+};
+
 struct Variable {
   bool eligible = false;
   uint32_t block = kNone;  ///< the one block that uses it
@@ -77,6 +89,8 @@ Spirv forward_locals(const Spirv& words) {
   if (words.size() < kHeaderWords) return words;
   const uint32_t bound = words[3];
   std::vector<Variable> variables(bound);
+  std::vector<Component> components(bound);
+  std::vector<uint32_t> constants(bound, kNone);  // literal of an OpConstant of one word
   std::vector<IdRange> ranges;
   const auto length = [&](size_t at) -> size_t { return words[at] >> 16; };
   const auto op_at = [&](size_t at) { return static_cast<spv::Op>(words[at] & 0xffffu); };
@@ -88,12 +102,16 @@ Spirv forward_locals(const Spirv& words) {
     if (length(at) == 0 || at + length(at) > words.size()) return words;
     const std::span<const uint32_t> one(&words[at], length(at));
     if (op_at(at) == spv::OpFunction) in_function = true;
+    if (op_at(at) == spv::OpConstant && one.size() == 4 && one[2] < bound)
+      constants[one[2]] = one[3];
     if (!in_function) continue;
     if (!used_ids(one, ranges)) return words;
-    const size_t least = op_at(at) == spv::OpLoad || op_at(at) == spv::OpVariable ? 4
-                         : op_at(at) == spv::OpStore                              ? 3
-                         : op_at(at) == spv::OpLabel                              ? 2
-                                                                                  : 1;
+    const size_t least =
+        op_at(at) == spv::OpLoad || op_at(at) == spv::OpVariable || op_at(at) == spv::OpAccessChain
+            ? 4
+        : op_at(at) == spv::OpStore ? 3
+        : op_at(at) == spv::OpLabel ? 2
+                                    : 1;
     if (one.size() < least) return words;
     for (size_t i = 1; i < least; ++i)
       if (one[i] >= bound && !(op_at(at) == spv::OpVariable && i == 3)) return words;
@@ -105,13 +123,20 @@ Spirv forward_locals(const Spirv& words) {
       variables[one[2]].eligible = one.size() == 4;
       continue;
     }
-    const bool plain = (op_at(at) == spv::OpLoad && one.size() == 4) ||
-                       (op_at(at) == spv::OpStore && one.size() == 3);
+    const bool loads = op_at(at) == spv::OpLoad && one.size() == 4;
+    const bool plain = loads || (op_at(at) == spv::OpStore && one.size() == 3);
+    const bool selects = op_at(at) == spv::OpAccessChain && one.size() == 5 && one[2] < bound &&
+                         variables[one[3]].eligible && constants[one[4]] != kNone;
+    if (selects) components[one[2]] = {.variable = one[3], .index = constants[one[4]]};
     for (const IdRange& range : ranges)
       for (size_t i = range.begin; i < range.end; ++i) {
-        Variable& variable = variables[one[i]];
-        const bool is_pointer = plain && i == (op_at(at) == spv::OpLoad ? 3u : 1u);
-        if (!is_pointer) variable.eligible = false;
+        // What is done to a component is done to its variable.
+        Component& component = components[one[i]];
+        const bool is_component = component.variable != kNone;
+        Variable& variable = variables[is_component ? component.variable : one[i]];
+        const bool is_pointer = (plain && i == (loads ? 3u : 1u)) || (selects && i == 3);
+        if (!is_pointer || (is_component && !loads)) variable.eligible = false;
+        if (is_component) ++component.loads;
         if (variable.block == kNone) variable.block = block;
         if (variable.block != block) variable.one_block = false;
       }
@@ -120,6 +145,7 @@ Spirv forward_locals(const Spirv& words) {
   // Values forwarded; stores that nothing sees are marked.
   std::vector<uint32_t> replaced(bound, kNone);
   std::vector<size_t> dropped;
+  std::vector<std::pair<size_t, uint32_t>> extracted;  // offset of a load, and the whole value
   std::vector<uint32_t> active;  // variables with a known value or a pending store
   const auto value_of = [&](uint32_t id) { return replaced[id] == kNone ? id : replaced[id]; };
   const auto end_block = [&] {
@@ -136,7 +162,13 @@ Spirv forward_locals(const Spirv& words) {
     if (op_at(at) == spv::OpFunction) in_function = true;
     if (!in_function) continue;
     if (op_at(at) == spv::OpLabel || op_at(at) == spv::OpFunctionEnd) end_block();
-    if (op_at(at) == spv::OpLoad && variables[words[at + 3]].eligible) {
+    const Component* component = op_at(at) == spv::OpLoad ? &components[words[at + 3]] : nullptr;
+    if (component && component->variable != kNone) {
+      const Variable& variable = variables[component->variable];
+      if (!variable.eligible || variable.value == kNone) continue;
+      ++components[words[at + 3]].taken;
+      extracted.emplace_back(at, variable.value);
+    } else if (op_at(at) == spv::OpLoad && variables[words[at + 3]].eligible) {
       Variable& variable = variables[words[at + 3]];
       if (variable.value != kNone) {
         replaced[words[at + 2]] = variable.value;
@@ -154,11 +186,16 @@ Spirv forward_locals(const Spirv& words) {
       variable.last_store = at;
     }
   }
+  for (size_t at = kHeaderWords; at < words.size(); at += length(at))
+    if (op_at(at) == spv::OpAccessChain && components[words[at + 2]].taken > 0 &&
+        components[words[at + 2]].taken == components[words[at + 2]].loads)
+      dropped.push_back(at);
   std::sort(dropped.begin(), dropped.end());
 
   Spirv result(words.begin(), words.begin() + kHeaderWords);
   result.reserve(words.size());
   auto next = dropped.begin();
+  auto extract = extracted.begin();
   in_function = false;
   for (size_t at = kHeaderWords; at < words.size(); at += length(at)) {
     if (next != dropped.end() && *next == at) {
@@ -166,6 +203,12 @@ Spirv forward_locals(const Spirv& words) {
       continue;
     }
     const std::span<const uint32_t> one(&words[at], length(at));
+    if (extract != extracted.end() && extract->first == at) {
+      result.insert(result.end(), {(5u << 16) | spv::OpCompositeExtract, one[1], one[2],
+                                   value_of(extract->second), components[one[3]].index});
+      ++extract;
+      continue;
+    }
     const size_t begin = result.size();
     result.insert(result.end(), one.begin(), one.end());
     if (op_at(at) == spv::OpFunction) in_function = true;

@@ -13,6 +13,7 @@ namespace {
 std::string shader(const std::string& body) {
   return "#version 450\nlayout(local_size_x = 8) in;\n"
          "layout(set = 0, binding = 0, std430) buffer B { float d[]; } b;\n"
+         "layout(set = 0, binding = 1) uniform usamplerBuffer t;\n"
          "float twice(float x) { x *= 2.0; return x; }\n"
          "void main() {\n  int id = int(gl_GlobalInvocationID.x);\n" +
          body + "}\n";
@@ -55,6 +56,14 @@ TEST(ForwardLocals, KeepsWhatOtherBlocksRead) {
   EXPECT_GE(count(result, "OpStore"), 6u)
       << text;  // a, c, i before the loop; a, i, c in it; buffer
   EXPECT_GE(count(result, "OpLoad"), 4u) << text;
+}
+
+TEST(ForwardLocals, TakesComponentsOfKnownVectors) {
+  const Spirv result = forwarded(
+      "  uvec4 q = texelFetch(t, id);\n  float a = float(q.x & 255u);\n"
+      "  q = texelFetch(t, id + 1);\n  a += float(q.w >> 8) * float(q.x);\n  b.d[id] = a;\n");
+  EXPECT_EQ(count(result, "OpCompositeExtract"), 3u);
+  EXPECT_LE(count(result, "OpAccessChain"), 2u);  // the invocation's id, the buffer
 }
 
 TEST(ForwardLocals, LeavesVariablesAloneThatAreAddressed) {
