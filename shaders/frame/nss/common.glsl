@@ -38,9 +38,12 @@ vec2 finite_motion(vec2 motion) {
 }
 
 /// Motion in uv, none if it is at most `least` pixels of `size`.
-vec2 motion_at(texture2D motion, ivec2 at, ivec2 size, float least) {
-  const vec2 m = finite_motion(texelFetch(motion, at, 0).rg);
+vec2 long_motion(vec2 motion, ivec2 size, float least) {
+  const vec2 m = finite_motion(motion);
   return length(m * vec2(size)) <= least ? vec2(0.0) : m;
+}
+vec2 motion_at(texture2D motion, ivec2 at, ivec2 size, float least) {
+  return long_motion(texelFetch(motion, at, 0).rg, size, least);
 }
 
 bool on_screen(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThan(uv, vec2(1.0))); }
