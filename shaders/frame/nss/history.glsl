@@ -1,8 +1,7 @@
 // shaders/frame/nss/history.glsl -- filtered reads of the history in the post passes, between texels in the exposed
-// Karis domain. Expects the image `history`, read as a storage image: without a level of detail, which halves a fetch on
-// a CPU. An output pixel and its three neighbours to the right and below that move alike share most of their texels.
+// Karis domain. Expects the image `history`. Pixels side by side that move alike share most of their texels.
 
-vec3 past_texel(ivec2 at) { return karis(exposed(imageLoad(history, inside(at, kOutput)).rgb, params.exposure)); }
+vec3 past_texel(ivec2 at) { return karis(exposed(HISTORY_TEXEL(history, inside(at, kOutput)).rgb, params.exposure)); }
 
 /// Catmull-Rom as in sample_catmull_rom_mapped. Per axis: where between the two middle texels the middle tap lies; and
 /// the weights of the five taps, which sum to 1.

@@ -16,9 +16,9 @@
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 layout(set = 0, binding = 0, rgba32f) readonly uniform image2D mapped;
 layout(set = 0, binding = 1, rg16f) readonly uniform image2D dilated;
-layout(set = 0, binding = 3, rgba16f) readonly uniform image2D history;  // one frame back
-layout(set = 0, binding = 4) uniform itextureBuffer temporal;            // 4 channels a texel
-layout(set = 0, binding = 5) uniform itextureBuffer kernel;              // 1 channel a texel
+HISTORY_IMAGE(3, history, rgba16f);                            // one frame back
+layout(set = 0, binding = 4) uniform itextureBuffer temporal;  // 4 channels a texel
+layout(set = 0, binding = 5) uniform itextureBuffer kernel;    // 1 channel a texel
 layout(set = 0, binding = 6, rgba16f) writeonly uniform image2D shown;
 layout(set = 0, binding = 7, rgba16f) writeonly uniform image2D new_history;
 #include "history.glsl"

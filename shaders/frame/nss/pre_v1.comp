@@ -8,7 +8,6 @@
 // An invocation takes 2x2 render texels, whose neighbourhoods overlap.
 // SIDE 1 (HIGH): a network texel is a render texel; an invocation makes 2x2.
 // SIDE 2 (MID, LOW): it is 2x2 of them, each reprojected for itself; disocclusion comes from disocclusion.comp.
-// Images that passes write are read as storage images: without a level of detail, a fetch is half the work on a CPU.
 // Source: nss.md sections 1.1, 2.4 d; tools/train/nss_passes.py computes the same.
 #version 450
 #extension GL_EXT_control_flow_attributes : require
@@ -27,9 +26,9 @@ layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 layout(set = 0, binding = 0) uniform texture2D color;
 layout(set = 0, binding = 1) uniform texture2D depth;
 layout(set = 0, binding = 2) uniform texture2D motion;
-layout(set = 0, binding = 3, rgba16f) readonly uniform image2D history;    // one frame back
-layout(set = 0, binding = 4, rgba8_snorm) readonly uniform image2D state;  // one frame back
-layout(set = 0, binding = 5) uniform itextureBuffer feedback;              // the tensor "temporal" of one frame back
+HISTORY_IMAGE(3, history, rgba16f);    // one frame back
+HISTORY_IMAGE(4, state, rgba8_snorm);  // one frame back
+layout(set = 0, binding = 5) uniform itextureBuffer feedback;  // the tensor "temporal" of one frame back
 layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { WORDS words[]; } network_input;
 layout(set = 0, binding = 8, rgba8_snorm) writeonly uniform image2D new_state;
 layout(set = 0, binding = 9, rg16f) writeonly uniform image2D dilated;
@@ -52,7 +51,7 @@ vec3 history_at(vec2 uv) {
   const Bilinear b = bilinear_at(uv, kOutput);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * imageLoad(history, bilinear_texel(b, i, kOutput)).rgb;
+    sum += bilinear_weight(b.part, i) * HISTORY_TEXEL(history, bilinear_texel(b, i, kOutput)).rgb;
   return karis(exposed(sum, params.exposure));
 }
 
@@ -83,7 +82,7 @@ Texel network_texel(vec3 past, vec2 moved, vec2 before, bool hidden, vec3 now, v
     const ivec2 at = bilinear_texel(b, i, kPadded);
     const float weight = bilinear_weight(b.part, i);
     fed += weight * vec4(texelFetch(feedback, at.y * kPadded.x + at.x) - TEMPORAL_ZERO_POINT);
-    old_state += weight * imageLoad(state, at);
+    old_state += weight * HISTORY_TEXEL(state, at);
   }
   fed *= hidden ? 0.0 : not_reset() * float(TEMPORAL_SCALE);
   Texel texel;

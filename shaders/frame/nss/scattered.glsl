@@ -8,7 +8,7 @@ float disoccluded(vec2 uv, float z, float tolerance) {
   [[unroll]] for (int i = 0; i < 4; ++i) {
     const ivec2 at = b.base + ivec2(i & 1, i >> 1);
     const bool is_inside = all(greaterThanEqual(at, ivec2(0))) && all(lessThan(at, size));
-    const float before = float(imageLoad(scatter, inside(at, size)).r) / 2147483647.0;
+    const float before = float(scatter_code(imageLoad(scatter, inside(at, size)).r)) / 2147483647.0;
     sum += depth_clip_tap(bilinear_weight(b.part, i), is_inside, z, view_z(before), tolerance);
   }
   return depth_clip(sum);
