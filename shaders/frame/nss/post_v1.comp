@@ -22,6 +22,7 @@ layout(set = 0, binding = 5) uniform itextureBuffer kernel;    // 1 channel a te
 layout(set = 0, binding = 6, rgba16f) writeonly uniform image2D shown;
 layout(set = 0, binding = 7, rgba16f) writeonly uniform image2D new_history;
 #include "history.glsl"
+#include "quad.glsl"
 
 const ivec2 kPadded = ivec2(TEMPORAL_WIDTH, TEMPORAL_HEIGHT);
 const ivec2 kNetwork = (kRender + SIDE - 1) / SIDE;
@@ -75,52 +76,26 @@ vec3 parameter_texel(ivec2 at) {
   return vec3(texelFetch(temporal, at.y * kPadded.x + at.x).xyz - TEMPORAL_ZERO_POINT);
 }
 
-#if OUTPUT_WIDTH == 2 * COLOR_WIDTH && OUTPUT_HEIGHT == 2 * COLOR_HEIGHT
-// At x2 the four pixels are those of a render texel: they move alike, and share samples.
-//
-// Along one axis, with `shift` as in axis_at, sample l lies in output cell 2 * l + shift. Of the two pixels, one has
-// its samples in the even cells of its kernel, the other in the odd ones; called so, each has samples in fixed cells:
-// the k-th in cell 2 * k + odd. With t = shift + KERNEL / 2 - 1 - odd, it is pixel t & 1, and its first sample is that
-// of render texel m - (t >> 1).
-const int kTaps = KERNEL / 2;  // per axis
-
+#if IS_DOUBLE
 /// The network's parameters at the four pixels of render texel m.
 void parameters_of_quad(ivec2 m, out vec3 parameters[2][2]) {
-  // The four lie less than a texel apart, so between three texels an axis.
-  const vec2 step = 0.5 * vec2(kNetwork) / vec2(kRender);
-  const vec2 place = (2.0 * vec2(m) + 0.5) * step - 0.5;
-  const ivec2 base = ivec2(floor(place));
+  const QuadPlace place = quad_place(m, kNetwork);
   vec3 along[3][2];
   [[unroll]] for (int y = 0; y < 3; ++y) {
-    const vec3 l = parameter_texel(base + ivec2(0, y)), c = parameter_texel(base + ivec2(1, y)),
-               r = parameter_texel(base + ivec2(2, y));
-    [[unroll]] for (int x = 0; x < 2; ++x) {
-      const float f = place.x + float(x) * step.x - float(base.x);
-      along[y][x] = f < 1.0 ? mix(l, c, f) : mix(c, r, f - 1.0);
-    }
+    vec3 t[3];
+    [[unroll]] for (int x = 0; x < 3; ++x) t[x] = parameter_texel(place.base + ivec2(x, y));
+    [[unroll]] for (int x = 0; x < 2; ++x) along[y][x] = between(t[0], t[1], t[2], place.part.x + float(x) * place.step.x);
   }
-  [[unroll]] for (int y = 0; y < 2; ++y) {
-    const float f = place.y + float(y) * step.y - float(base.y);
+  [[unroll]] for (int y = 0; y < 2; ++y)
     [[unroll]] for (int x = 0; x < 2; ++x)
-      parameters[y][x] = float(TEMPORAL_SCALE) * (f < 1.0 ? mix(along[0][x], along[1][x], f)
-                                                          : mix(along[1][x], along[2][x], f - 1.0));
-  }
+      parameters[y][x] = float(TEMPORAL_SCALE) *
+                         between(along[0][x], along[1][x], along[2][x], place.part.y + float(y) * place.step.y);
 }
 
 void main() {
   const ivec2 m = ivec2(gl_GlobalInvocationID.xy);
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
-  const ivec2 shift = (ivec2(floor(clamp(params.jitter, -0.5, 0.5) * 65536.0 + 0.5)) + 32768) >> 15;
-  const ivec2 even = shift + KERNEL / 2 - 1, odd = even - 1;
-  const ivec2 first = m - (even >> 1);
-  const ivec2 apart = (even >> 1) - (odd >> 1);  // from the first sample of the even pixel to that of the odd, 0 or 1
-
-  vec3 samples[kTaps + 1][kTaps + 1];
-  [[unroll]] for (int y = 0; y <= kTaps; ++y)
-    [[unroll]] for (int x = 0; x <= kTaps; ++x)
-      samples[y][x] = imageLoad(mapped, inside(first + ivec2(x, y), kRender)).rgb;
-
-  vec3 past[2][2], parameters[2][2];
+  vec3 past[2][2], parameters[2][2], samples[kTaps + 1][kTaps + 1];
   const vec2 uv = (2.0 * vec2(m) + 0.5) / vec2(kOutput);
   const vec2 before = uv - long_motion(imageLoad(dilated, m).rg, kOutput, 0.1);
 #if CATMULL_ROM
@@ -129,29 +104,22 @@ void main() {
   past_quad_linear(before, past);
 #endif
   parameters_of_quad(m, parameters);
-
+  const Quad quad = quad_at(m);
+  quad_samples(quad, samples);
   [[unroll]] for (int oy = 0; oy < 2; ++oy) {
     [[unroll]] for (int ox = 0; ox < 2; ++ox) {
       Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), vec3(0.0), 0.0);
-      const ivec2 away = apart * ivec2(ox, oy);
+      const ivec2 first = quad.first + quad.apart * ivec2(ox, oy);
       [[unroll]] for (int y = 0; y < kTaps; ++y) {
         [[unroll]] for (int x = 0; x < kTaps; ++x) {
-          vec3 c = samples[y][x];
-          if (ox == 1) c = apart.x != 0 ? samples[y][x + 1] : c;
-          if (oy == 1) c = apart.y != 0 ? samples[y + 1][x] : c;
-          if (ox == 1 && oy == 1) c = apart.x != 0 && apart.y != 0 ? samples[y + 1][x + 1] : c;
           const int ix = 2 * x + ox, iy = 2 * y + oy;
-          add_sample(sum, ix, iy, weight_at(inside(first + away + ivec2(x, y), kRender), ix, iy), c);
+          add_sample(sum, ix, iy, weight_at(inside(first + ivec2(x, y), kRender), ix, iy),
+                     quad_sample(quad, samples, ox, oy, x, y));
         }
       }
-      const ivec2 pixel = ivec2(ox == 0 ? even.x : odd.x, oy == 0 ? even.y : odd.y) & 1;
-      const bool right = pixel.x != 0, below = pixel.y != 0;
-      show(2 * m + pixel,
-           shown_color(sum,
-                       below ? (right ? parameters[1][1] : parameters[1][0])
-                             : (right ? parameters[0][1] : parameters[0][0]),
-                       below ? (right ? past[1][1] : past[1][0]) : (right ? past[0][1] : past[0][0]),
-                       before + vec2(pixel) / vec2(kOutput)));
+      const ivec2 pixel = quad_pixel(quad, ox, oy);
+      show(2 * m + pixel, shown_color(sum, of_pixel(parameters, pixel), of_pixel(past, pixel),
+                                      before + vec2(pixel) / vec2(kOutput)));
     }
   }
 }
