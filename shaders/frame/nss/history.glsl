@@ -3,8 +3,9 @@
 
 vec3 past_texel(ivec2 at) { return karis(exposed(HISTORY_TEXEL(history, inside(at, kOutput)).rgb, params.exposure)); }
 
-/// Catmull-Rom as in sample_catmull_rom_mapped. Per axis: where between the two middle texels the middle tap lies; and
-/// the weights of the five taps, which sum to 1.
+/// Catmull-Rom from the cross of the twelve texels around a place without the four corners, the weights made to sum to
+/// 1: where between the two middle texels of an axis the middle tap lies, and the weights of the five taps.
+/// Source: nss.md section 3.1.
 struct CatmullRom {
   vec2 mid;
   float centre, left, right, up, down;

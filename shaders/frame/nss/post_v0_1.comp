@@ -1,8 +1,9 @@
 // shaders/frame/nss/post_v0_1.comp -- filter, rectify, accumulate: the post pass of NSS v0.1.
 //
 // One invocation per 2x2 output pixels. For each of them: the samples of this frame that fall into its 4x4 kernel,
-// weighted by the tensors k0 to k3 (a column each, 4 channels a texel); the history, blended in as the network says; a sample that lies on the
-// pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes take linear ones: a display
+// weighted by the tensors k0 to k3 (a column each, 4 channels a texel); the history, blended in as the network says; a
+// sample that lies on the pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes
+// take linear ones: a display
 // shows means of it. Output and history are linear, with the exposure removed.
 // `mapped` and `moving` come from pre_v0_1.comp.
 // Source: nss.md sections 3.1 to 3.3; tools/train/nss_passes.py computes the same.
