@@ -12,6 +12,20 @@ const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
 
 SHALE_PARAMS;
 
+// Images that this frame's passes write are read as storage images, too: without a level of detail, a fetch is half the
+// work on a CPU. With STORAGE_HISTORY 1 so are those of the frame before, where frame.json can bind them so.
+#ifndef STORAGE_HISTORY
+#define STORAGE_HISTORY 0
+#endif
+#if STORAGE_HISTORY
+#define HISTORY_IMAGE(at, name, layout_format) \
+  layout(set = 0, binding = at, layout_format) readonly uniform image2D name
+#define HISTORY_TEXEL(name, at) imageLoad(name, at)
+#else
+#define HISTORY_IMAGE(at, name, layout_format) layout(set = 0, binding = at) uniform texture2D name
+#define HISTORY_TEXEL(name, at) texelFetch(name, at, 0)
+#endif
+
 float not_reset() { return params.reset != 0 ? 0.0 : 1.0; }
 
 /// Texel of a picture of `size` that a texel of its padded form shows: mirrored at the lower and right border, with
@@ -26,6 +40,12 @@ float finite_depth(float depth) { return finite_in(depth, 0.0, 1.0, params.rever
 
 bool closer(float a, float b) { return params.reverse_depth != 0 ? a > b : a < b; }
 
+/// Depth times 2^31 - 1 as the scattered depth holds it, and back: the closest is the largest, the farthest 0.
+uint scatter_code(uint scaled) {
+  scaled = min(scaled, 0x7fffffffu);  // float rounds 2^31 - 1 up
+  return params.reverse_depth != 0 ? scaled : 0x7fffffffu - scaled;
+}
+
 /// Distance along the view axis, metres.
 float view_z(float depth) {
   return finite_in(params.depth_to_view.y / (depth - params.depth_to_view.x), 0.0, 1e8, 1e8);
@@ -38,9 +58,12 @@ vec2 finite_motion(vec2 motion) {
 }
 
 /// Motion in uv, none if it is at most `least` pixels of `size`.
-vec2 motion_at(texture2D motion, ivec2 at, ivec2 size, float least) {
-  const vec2 m = finite_motion(texelFetch(motion, at, 0).rg);
+vec2 long_motion(vec2 motion, ivec2 size, float least) {
+  const vec2 m = finite_motion(motion);
   return length(m * vec2(size)) <= least ? vec2(0.0) : m;
+}
+vec2 motion_at(texture2D motion, ivec2 at, ivec2 size, float least) {
+  return long_motion(texelFetch(motion, at, 0).rg, size, least);
 }
 
 bool on_screen(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThan(uv, vec2(1.0))); }

@@ -3,14 +3,15 @@
 // One invocation per texel of disocclusion (r8), a block of 4x4 render texels: the depth clip of the block's closest
 // texel, with the range of view depth in the block as tolerance. Source: nss.md section 2.4 c.
 #version 450
+#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
-#include "scattered.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 layout(set = 0, binding = 0) uniform texture2D depth;
 layout(set = 0, binding = 1) uniform texture2D motion;
-layout(set = 0, binding = 2) uniform utexture2D scatter;
+layout(set = 0, binding = 2, r32ui) readonly uniform uimage2D scatter;
 layout(set = 0, binding = 3, r8) writeonly uniform image2D disocclusion;
+#include "scattered.glsl"
 
 void main() {
   const ivec2 block = ivec2(gl_GlobalInvocationID.xy);
@@ -30,6 +31,6 @@ void main() {
   }
   const vec2 uv = (vec2(block) + 0.5) / vec2(DISOCCLUSION_WIDTH, DISOCCLUSION_HEIGHT);
   const float z = view_z(closest);
-  const float mask = disoccluded(scatter, uv - motion_at(motion, from, kRender, 0.1), z, view_z(farthest) - z);
+  const float mask = disoccluded(uv - motion_at(motion, from, kRender, 0.1), z, view_z(farthest) - z);
   imageStore(disocclusion, block, vec4(mask));
 }

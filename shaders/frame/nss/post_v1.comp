@@ -1,53 +1,31 @@
 // shaders/frame/nss/post_v1.comp -- filter, rectify, accumulate: the post pass of NSS v1.
 //
-// One invocation per output pixel: the samples of this frame that fall into its kernel, weighted as the network says;
-// the history, clamped to their mean and deviation and blended as the network says; a sample that lies on the pixel
-// itself, blended in. All of it in exposed colours of the Karis domain, where the notes take linear ones: a display shows
-// means of it. Output and history are linear, with the exposure removed.
+// One invocation per 2x2 output pixels. For each of them: the samples of this frame that fall into its kernel, weighted
+// as the network says; the history, clamped to their mean and deviation and blended as the network says; a sample that
+// lies on the pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes take linear
+// ones: a display shows means of it. Output and history are linear, with the exposure removed.
 // KERNEL 6 and TAPS 9 (HIGH) or 4 and 4 (MID, LOW); KPN_SHIFT: render texel >> shift is the texel of the kernel tensor;
 // CATMULL_ROM 1 or 0 chooses the filter of the history; WEIGHT_FLOOR is the least weight.
+// `mapped` and `dilated` come from pre_v1.comp.
 // Source: nss.md sections 3.1, 3.2, 3.4; tools/train/nss_passes.py computes the same.
 #version 450
+#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 #include "taps.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1) uniform texture2D motion;
-layout(set = 0, binding = 2) uniform texture2D nearest;
-layout(set = 0, binding = 3) uniform texture2D history;         // one frame back
-layout(set = 0, binding = 4) uniform itextureBuffer temporal;   // 4 channels a texel
-layout(set = 0, binding = 5) uniform itextureBuffer kernel;     // 1 channel a texel
+layout(set = 0, binding = 0, rgba32f) readonly uniform image2D mapped;
+layout(set = 0, binding = 1, rg16f) readonly uniform image2D dilated;
+HISTORY_IMAGE(3, history, rgba16f);                            // one frame back
+layout(set = 0, binding = 4) uniform itextureBuffer temporal;  // 4 channels a texel
+layout(set = 0, binding = 5) uniform itextureBuffer kernel;    // 1 channel a texel
 layout(set = 0, binding = 6, rgba16f) writeonly uniform image2D shown;
 layout(set = 0, binding = 7, rgba16f) writeonly uniform image2D new_history;
+#include "history.glsl"
+#include "quad.glsl"
 
 const ivec2 kPadded = ivec2(TEMPORAL_WIDTH, TEMPORAL_HEIGHT);
 const ivec2 kNetwork = (kRender + SIDE - 1) / SIDE;
-
-
-/// The network's parameters in 0..1, at uv of its picture without padding.
-vec4 parameters_at(vec2 uv) {
-  const Bilinear b = bilinear_at(uv * vec2(kNetwork) / vec2(kPadded), kPadded);
-  vec4 sum = vec4(0.0);
-  for (int i = 0; i < 4; ++i) {
-    const ivec2 at = bilinear_texel(b, i, kPadded);
-    sum += bilinear_weight(b.part, i) * vec4(texelFetch(temporal, at.y * kPadded.x + at.x) - TEMPORAL_ZERO_POINT);
-  }
-  return sum * float(TEMPORAL_SCALE);
-}
-
-/// Motion of the closest depth around the render texel that holds uv.
-vec2 dilated_motion(ivec2 texel) {
-#if SIDE == 1
-  const int code = int(texelFetch(nearest, texel, 0).r * 255.0 + 0.5);
-  const ivec2 offset = ivec2(code & 7, code >> 3) - 2;
-#else
-  const vec2 bytes = texelFetch(nearest, texel / 2, 0).rg;
-  const int code = int(((texel.y & 1) == 0 ? bytes.r : bytes.g) * 255.0 + 0.5) >> ((texel.x & 1) * 4);
-  const ivec2 offset = ivec2(code & 3, (code >> 2) & 3) - 1;
-#endif
-  return motion_at(motion, inside(texel + offset, kRender), kOutput, 0.1);
-}
 
 struct Filtered {
   float weight;
@@ -56,21 +34,99 @@ struct Filtered {
   float has_centre;  // 1 if a sample lies on the pixel
 };
 
-/// Adds the sample of a texel at kernel cell (ix, iy).
-void add_sample(inout Filtered sum, int ix, int iy, ivec2 texel) {
-  const ivec2 at = inside(texel, kRender);
-  const vec3 c = karis(exposed(finite_color(texelFetch(color, at, 0).rgb), params.exposure));
-  const ivec2 cell = min(at >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
+/// Weight of the sample of a render texel at kernel cell (ix, iy).
+float weight_at(ivec2 texel, int ix, int iy) {
+  const ivec2 cell = min(texel >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
   const int index = (cell.y * KERNEL_WIDTH + cell.x) * KERNEL_CHANNELS + iy + KERNEL * ix;
-  const float value = float(texelFetch(kernel, index).r - KERNEL_ZERO_POINT) * float(KERNEL_SCALE);
-  const float weight = max(value, float(WEIGHT_FLOOR));
+  return max(float(texelFetch(kernel, index).r - KERNEL_ZERO_POINT) * float(KERNEL_SCALE), float(WEIGHT_FLOOR));
+}
+
+void add_sample(inout Filtered sum, int ix, int iy, float weight, vec3 c) {
   sum.weight += weight;
-  sum.first += weight * c;
-  sum.second += weight * c * c;
+  const vec3 weighted = weight * c;
+  sum.first += weighted;
+  sum.second += weighted * c;
   if (ix == -kFirst && iy == -kFirst) {
     sum.centre = c;
     sum.has_centre = 1.0;
   }
+}
+
+/// What a pixel shows. parameters: of the network; past: the history at uv `before`.
+vec4 shown_color(Filtered sum, vec3 parameters, vec3 past, vec2 before) {
+  const float scale = 1.0 / sum.weight;
+  const vec3 mean = sum.first * scale;
+  const float toward = parameters.x * parameters.x, away = (1.0 - parameters.x) * (1.0 - parameters.x);
+  const float theta = toward / (toward + away);
+  const float alpha = 0.35 * parameters.y + 0.05;
+  const vec3 sigma = 2.0 * parameters.z * sqrt(max(abs(sum.second * scale - mean * mean), 1e-7));
+  vec3 mixed = mix(clamp(past, mean - sigma, mean + sigma), past, on_screen(before) ? theta : 0.0);
+  mixed = mix(mixed, sum.centre, alpha * sum.has_centre);
+  mixed = params.reset != 0 ? mean : mixed;  // chosen, not multiplied: the history may hold anything then
+  return vec4(min(karis_inverse(mixed) * (1.0 / params.exposure), kMaxColor), 1.0);
+}
+
+void show(ivec2 pixel, vec4 color) {
+  imageStore(shown, pixel, color);
+  imageStore(new_history, pixel, color);
+}
+
+vec3 parameter_texel(ivec2 at) {
+  at = inside(at, kPadded);
+  return vec3(texelFetch(temporal, at.y * kPadded.x + at.x).xyz - TEMPORAL_ZERO_POINT);
+}
+
+#if IS_DOUBLE
+/// The network's parameters at the four pixels of render texel m.
+void parameters_of_quad(ivec2 m, out vec3 parameters[2][2]) {
+  const QuadPlace place = quad_place(m, kNetwork);
+  vec3 along[3][2];
+  [[unroll]] for (int y = 0; y < 3; ++y) {
+    vec3 t[3];
+    [[unroll]] for (int x = 0; x < 3; ++x) t[x] = parameter_texel(place.base + ivec2(x, y));
+    [[unroll]] for (int x = 0; x < 2; ++x) along[y][x] = between(t[0], t[1], t[2], place.part.x + float(x) * place.step.x);
+  }
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    [[unroll]] for (int x = 0; x < 2; ++x)
+      parameters[y][x] = float(TEMPORAL_SCALE) *
+                         between(along[0][x], along[1][x], along[2][x], place.part.y + float(y) * place.step.y);
+}
+
+void main() {
+  const ivec2 m = ivec2(gl_GlobalInvocationID.xy);
+  if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
+  vec3 past[2][2], parameters[2][2], samples[kTaps + 1][kTaps + 1];
+  const vec2 uv = (2.0 * vec2(m) + 0.5) / vec2(kOutput);
+  const vec2 before = uv - long_motion(imageLoad(dilated, m).rg, kOutput, 0.1);
+#if CATMULL_ROM
+  past_quad_catmull_rom(before, past);
+#else
+  past_quad_linear(before, past);
+#endif
+  parameters_of_quad(m, parameters);
+  const Quad quad = quad_at(m);
+  quad_samples(quad, samples);
+  [[unroll]] for (int oy = 0; oy < 2; ++oy) {
+    [[unroll]] for (int ox = 0; ox < 2; ++ox) {
+      Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), vec3(0.0), 0.0);
+      const ivec2 first = quad.first + quad.apart * ivec2(ox, oy);
+      [[unroll]] for (int y = 0; y < kTaps; ++y) {
+        [[unroll]] for (int x = 0; x < kTaps; ++x) {
+          const int ix = 2 * x + ox, iy = 2 * y + oy;
+          add_sample(sum, ix, iy, weight_at(inside(first + ivec2(x, y), kRender), ix, iy),
+                     quad_sample(quad, samples, ox, oy, x, y));
+        }
+      }
+      const ivec2 pixel = quad_pixel(quad, ox, oy);
+      show(2 * m + pixel, shown_color(sum, of_pixel(parameters, pixel), of_pixel(past, pixel),
+                                      before + vec2(pixel) / vec2(kOutput)));
+    }
+  }
+}
+#else
+void add_texel(inout Filtered sum, int ix, int iy, ivec2 texel) {
+  const ivec2 at = inside(texel, kRender);
+  add_sample(sum, ix, iy, weight_at(at, ix, iy), imageLoad(mapped, at).rgb);
 }
 
 #if OUTPUT_WIDTH < 2 * COLOR_WIDTH || OUTPUT_HEIGHT < 2 * COLOR_HEIGHT
@@ -87,7 +143,7 @@ Filtered filter_samples(Axis x, Axis y) {
   for (int n = 0; n < KERNEL * KERNEL && taps < TAPS; ++n) {
     const int ix = kOrder[n] % KERNEL, iy = kOrder[n] / KERNEL;
     if ((x.cells >> ix & 1u) == 0u || (y.cells >> iy & 1u) == 0u) continue;
-    add_sample(sum, ix, iy, ivec2(texel_at(x, ix), texel_at(y, iy)));
+    add_texel(sum, ix, iy, ivec2(texel_at(x, ix), texel_at(y, iy)));
     ++taps;
   }
   return sum;
@@ -103,46 +159,48 @@ Filtered filter_samples(Axis x, Axis y) {
     for (int i = 0; i < KERNEL / 2; ++i) {
       const int ix = findLSB(columns);
       columns &= columns - 1u;
-      if (ix >= 0 && iy >= 0) add_sample(sum, ix, iy, ivec2(x.texel + i, y.texel + j));
+      if (ix >= 0 && iy >= 0) add_texel(sum, ix, iy, ivec2(x.texel + i, y.texel + j));
     }
   }
   return sum;
 }
 #endif
 
-void main() {
-  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
-  if (at.x >= OUTPUT_WIDTH || at.y >= OUTPUT_HEIGHT) return;
-  const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
+/// The network's parameters in 0..1, at uv of its picture without padding.
+vec3 parameters_at(vec2 uv) {
+  const Bilinear b = bilinear_at(uv * vec2(kNetwork) / vec2(kPadded), kPadded);
+  vec3 sum = vec3(0.0);
+  [[unroll]] for (int i = 0; i < 4; ++i)
+    sum += bilinear_weight(b.part, i) * parameter_texel(b.base + ivec2(i & 1, i >> 1));
+  return sum * float(TEMPORAL_SCALE);
+}
 
+void pixel_at(ivec2 at) {
+  const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
   const Axis x = axis_at(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH);
   const Axis y = axis_at(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT);
   Filtered sum = filter_samples(x, y);
   if (sum.weight == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum.first = karis(exposed(finite_color(texelFetch(color, texel, 0).rgb), params.exposure));
+    sum.first = imageLoad(mapped, texel).rgb;
     sum.second = sum.first * sum.first;
     sum.weight = 1.0;
   }
-  const vec3 mean = sum.first / sum.weight;
-  vec3 mixed = mean;
-  if (params.reset == 0) {
-    const vec4 p = parameters_at(uv);
-    const float toward = p.x * p.x, away = (1.0 - p.x) * (1.0 - p.x);
-    const float theta = toward / (toward + away);
-    const float alpha = 0.35 * p.y + 0.05;
-    const vec3 sigma = 2.0 * p.z * sqrt(max(abs(sum.second / sum.weight - mean * mean), 1e-7));
-    const vec2 before = uv - dilated_motion((2 * at + 1) * kRender / (2 * kOutput));
+  const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
+  const vec2 before = uv - long_motion(imageLoad(dilated, texel).rg, kOutput, 0.1);
 #if CATMULL_ROM
-    const vec3 past = clamp(sample_catmull_rom_mapped(history, before, kOutput, params.exposure), 0.0, 1.0);
+  const vec3 past = past_catmull_rom(before);
 #else
-    const vec3 past = sample_linear_mapped(history, before, kOutput, params.exposure);
+  const vec3 past = past_linear(before);
 #endif
-    mixed = mix(clamp(past, mean - sigma, mean + sigma), past, on_screen(before) ? theta : 0.0);
-    mixed = mix(mixed, sum.centre, alpha * sum.has_centre);
-  }
-  const vec4 result = vec4(min(karis_inverse(mixed) / params.exposure, kMaxColor), 1.0);
-  imageStore(shown, at, result);
-  imageStore(new_history, at, result);
+  show(at, shown_color(sum, parameters_at(uv), past, before));
 }
+
+void main() {
+  for (int i = 0; i < 4; ++i) {
+    const ivec2 at = 2 * ivec2(gl_GlobalInvocationID.xy) + ivec2(i & 1, i >> 1);
+    if (at.x < OUTPUT_WIDTH && at.y < OUTPUT_HEIGHT) pixel_at(at);
+  }
+}
+#endif

@@ -3,8 +3,9 @@
 // Writes the tensor "input", int8 NHWC [1, h, w, 12] with h and w padded to multiples of 8, padding mirrored:
 //   0-2 history, reprojected, Karis    3-5 current colour, Karis    6 disocclusion
 //   7-10 feedback, reprojected         11 change of luma over time
-// and the new state of the luma (rg8: change, luma); the dilated depth; and `nearest`, where the closest depth is
-// (r8, (y + 1) << 2 | (x + 1)). One invocation per texel of the tensor.
+// and the new state of the luma (rg8: change, luma); the dilated depth; and what the post pass would compute again for
+// each of its pixels: `moving`, the motion where the closest depth is, and `mapped`, the colours in the exposed Karis
+// domain. One invocation per texel of the tensor.
 // Source: nss.md section 2.3; tools/train/nss_passes.py computes the same. The depth of the frame before is kept as it
 // was dilated, instead of being gathered through the offsets of the frame before.
 #version 450
@@ -21,7 +22,8 @@ layout(set = 0, binding = 6) uniform itextureBuffer feedback;  // of one frame b
 layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { uint words[]; } network_input;
 layout(set = 0, binding = 8, rg8) writeonly uniform image2D new_luma;
 layout(set = 0, binding = 9, r32f) writeonly uniform image2D new_dilated;
-layout(set = 0, binding = 10, r8) writeonly uniform image2D nearest;
+layout(set = 0, binding = 10, rg16f) writeonly uniform image2D moving;
+layout(set = 0, binding = 11, rgba32f) writeonly uniform image2D mapped;
 
 const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
 
@@ -66,7 +68,8 @@ void main() {
 
   float closest;
   const ivec2 offset = closest_offset(depth, at, 1, closest);
-  const vec2 moved = motion_at(motion, inside(at + offset, kRender), kRender, 0.1);
+  const vec2 raw = texelFetch(motion, inside(at + offset, kRender), 0).rg;
+  const vec2 moved = long_motion(raw, kRender, 0.1);
   const vec2 before = uv - moved;
   const float z = view_z(closest);
   float hidden = 0.0;
@@ -92,5 +95,6 @@ void main() {
   imageStore(new_luma, padded, vec4(level, y, 0.0, 0.0));
   if (any(greaterThanEqual(padded, kRender))) return;
   imageStore(new_dilated, at, vec4(closest));
-  imageStore(nearest, at, vec4(float((offset.y + 1) << 2 | (offset.x + 1)) / 255.0));
+  imageStore(moving, at, vec4(raw, 0.0, 0.0));
+  imageStore(mapped, at, vec4(now, 0.0));
 }

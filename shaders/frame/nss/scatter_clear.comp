@@ -9,5 +9,5 @@ layout(set = 0, binding = 0, r32ui) writeonly uniform uimage2D scatter;
 void main() {
   const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
   if (at.x >= SCATTER_WIDTH || at.y >= SCATTER_HEIGHT) return;
-  imageStore(scatter, at, uvec4(params.reverse_depth != 0 ? 0u : 0x7fffffffu));
+  imageStore(scatter, at, uvec4(0u));
 }

@@ -1,0 +1,87 @@
+// shaders/frame/nss/history.glsl -- filtered reads of the history in the post passes, between texels in the exposed
+// Karis domain. Expects the image `history`. Pixels side by side that move alike share most of their texels.
+
+vec3 past_texel(ivec2 at) { return karis(exposed(HISTORY_TEXEL(history, inside(at, kOutput)).rgb, params.exposure)); }
+
+/// Catmull-Rom from the cross of the twelve texels around a place without the four corners, the weights made to sum to
+/// 1: where between the two middle texels of an axis the middle tap lies, and the weights of the five taps.
+/// Source: nss.md section 3.1.
+struct CatmullRom {
+  vec2 mid;
+  float centre, left, right, up, down;
+};
+CatmullRom catmull_rom(vec2 f) {
+  const vec2 f2 = f * f, f3 = f2 * f;
+  const vec2 w0 = f2 - 0.5 * (f3 + f);
+  const vec2 w1 = 1.5 * f3 - 2.5 * f2 + 1.0;
+  const vec2 w3 = 0.5 * (f3 - f2);
+  const vec2 w2 = 1.0 - w0 - w1 - w3;
+  const vec2 w12 = w1 + w2;
+  CatmullRom w =
+      CatmullRom(w2 / w12, w12.x * w12.y, w0.x * w12.y, w3.x * w12.y, w12.x * w0.y, w12.x * w3.y);
+  const float scale = 1.0 / (w.centre + w.left + w.right + w.up + w.down);
+  w.centre *= scale, w.left *= scale, w.right *= scale, w.up *= scale, w.down *= scale;
+  return w;
+}
+
+/// The five taps as one, in 0..1. Where a channel comes out negative, all are clamped to the taps.
+vec3 combine(CatmullRom w, vec3 centre, vec3 left, vec3 right, vec3 up, vec3 down) {
+  const vec3 sum = w.centre * centre + w.left * left + w.right * right + w.up * up + w.down * down;
+  const vec3 low = min(centre, min(min(left, right), min(up, down)));
+  const vec3 high = max(centre, max(max(left, right), max(up, down)));
+  return clamp(any(lessThan(sum, vec3(0.0))) ? clamp(sum, low, high) : sum, 0.0, 1.0);
+}
+
+/// The history at uv and at its neighbours one texel to the right and below, [y][x], in 0..1.
+void past_quad_catmull_rom(vec2 uv, out vec3 past[2][2]) {
+  const Bilinear b = bilinear_at(uv, kOutput);
+  const CatmullRom w = catmull_rom(b.part);
+  vec3 texels[5][5];
+  [[unroll]] for (int y = 0; y < 5; ++y)
+    [[unroll]] for (int x = 0; x < 5; ++x)
+      if ((x != 0 && x != 4) || (y != 0 && y != 4)) texels[y][x] = past_texel(b.base + ivec2(x, y) - 1);
+  vec3 along[5][2], down[2][5];
+  [[unroll]] for (int y = 0; y < 5; ++y)
+    [[unroll]] for (int x = 0; x < 2; ++x) along[y][x] = mix(texels[y][x + 1], texels[y][x + 2], w.mid.x);
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    [[unroll]] for (int x = 0; x < 5; ++x)
+      if (x != 2) down[y][x] = mix(texels[y + 1][x], texels[y + 2][x], w.mid.y);
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    [[unroll]] for (int x = 0; x < 2; ++x)
+      past[y][x] = combine(w, mix(along[y + 1][x], along[y + 2][x], w.mid.y), down[y][x], down[y][x + 3], along[y][x],
+                           along[y + 3][x]);
+}
+
+/// As past_quad_catmull_rom, bilinear.
+void past_quad_linear(vec2 uv, out vec3 past[2][2]) {
+  const Bilinear b = bilinear_at(uv, kOutput);
+  vec3 along[3][2];
+  [[unroll]] for (int y = 0; y < 3; ++y) {
+    const vec3 l = past_texel(b.base + ivec2(0, y)), m = past_texel(b.base + ivec2(1, y));
+    along[y][0] = mix(l, m, b.part.x);
+    along[y][1] = mix(m, past_texel(b.base + ivec2(2, y)), b.part.x);
+  }
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    [[unroll]] for (int x = 0; x < 2; ++x) past[y][x] = mix(along[y][x], along[y + 1][x], b.part.y);
+}
+
+/// The history at uv alone.
+vec3 past_linear(vec2 uv) {
+  const Bilinear b = bilinear_at(uv, kOutput);
+  vec3 sum = vec3(0.0);
+  [[unroll]] for (int i = 0; i < 4; ++i)
+    sum += bilinear_weight(b.part, i) * past_texel(b.base + ivec2(i & 1, i >> 1));
+  return sum;
+}
+
+vec3 past_catmull_rom(vec2 uv) {
+  const Bilinear b = bilinear_at(uv, kOutput);
+  const CatmullRom w = catmull_rom(b.part);
+  #define SHALE_AT(x, y) past_texel(b.base + ivec2(x, y))
+  const vec3 c =
+      mix(mix(SHALE_AT(0, 0), SHALE_AT(1, 0), w.mid.x), mix(SHALE_AT(0, 1), SHALE_AT(1, 1), w.mid.x), w.mid.y);
+  const vec3 l = mix(SHALE_AT(-1, 0), SHALE_AT(-1, 1), w.mid.y), r = mix(SHALE_AT(2, 0), SHALE_AT(2, 1), w.mid.y);
+  const vec3 u = mix(SHALE_AT(0, -1), SHALE_AT(1, -1), w.mid.x), d = mix(SHALE_AT(0, 2), SHALE_AT(1, 2), w.mid.x);
+  #undef SHALE_AT
+  return combine(w, c, l, r, u, d);
+}
