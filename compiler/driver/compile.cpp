@@ -376,6 +376,10 @@ class VariantBuilder {
 
   /// Pixels of what the pass goes over.
   Result<FrameExtent> grid_of(const FramePass& pass, const std::string& where) const {
+    if (pass.over_size) {
+      SHALE_TRY(const auto sizes, frame_sizes(*options_.frame, options_.sizes));
+      return (*pass.over_size)(sizes.first, sizes.second);
+    }
     for (const Resource& resource : variant_.resources) {
       if (resource.name != pass.over) continue;
       if (is_image(resource.category)) return FrameExtent{resource.width, resource.height};
@@ -402,12 +406,15 @@ class VariantBuilder {
       if (from.writes &&
           (resource.category == Category::kImageInput || resource.category == Category::kOutput))
         return bad_input(where, "writes \"{}\", which is an input of the pass", from.name);
+      // The host's images come with the usage of sampled images.
+      if (from.loads && resource.category == Category::kImageInput)
+        return bad_input(where, "loads \"{}\", which is an input: it can only be read", from.name);
       if (from.frames_back >= std::max(resource.history_depth, 1u))
         return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name,
                          from.frames_back, resource.history_depth);
       const BindingType type = from.texels != ImageFormat::kNone ? BindingType::kUniformTexelBuffer
                                : !from.is_image                  ? BindingType::kStorageBuffer
-                               : from.writes                     ? BindingType::kStorageImage
+                               : from.writes || from.loads       ? BindingType::kStorageImage
                                                                  : BindingType::kSampledImage;
       dispatch.bindings.push_back(
           {from.binding, type, index, from.texels, from.reads, from.writes, from.frames_back});

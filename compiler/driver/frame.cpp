@@ -94,14 +94,14 @@ Result<FrameExtent> parse_extent(const Fields& fields, const char* key) {
 }
 
 /// "render", "output", or {"of": one of them, "divide": N, "multiple": N}.
-Result<FrameSize> parse_size(const Fields& fields) {
-  const Json& json = fields.has("size") ? fields.json()["size"] : Json();
+Result<FrameSize> parse_size(const Fields& fields, const char* key = "size") {
+  const Json& json = fields.has(key) ? fields.json()[key] : Json();
   FrameSize size;
   std::string of;
   if (json.is_string()) {
     of = json.get<std::string>();
   } else if (json.is_object()) {
-    const Fields parts(json, fields.where() + ".size");
+    const Fields parts(json, fields.where() + "." + key);
     SHALE_TRY(of, parts.text("of"));
     SHALE_TRY(const int64_t divide, parts.integer("divide", 1, kMaxDivide, 1));
     SHALE_TRY(const int64_t multiple, parts.integer("multiple", 1, kMaxMultiple, 1));
@@ -109,7 +109,8 @@ Result<FrameSize> parse_size(const Fields& fields) {
     size.multiple = static_cast<uint32_t>(multiple);
   }
   if (of != "render" && of != "output")
-    return bad_input(fields.where(), "\"size\" must be \"render\", \"output\" or {{\"of\": ...}}");
+    return bad_input(fields.where(), "\"{}\" must be \"render\", \"output\" or {{\"of\": ...}}",
+                     key);
   size.of_output = of == "output";
   return size;
 }
@@ -218,10 +219,14 @@ Result<FrameBinding> parse_binding(const Fields& fields) {
   binding.is_image = fields.has("image");
   SHALE_TRY(binding.name, fields.text(binding.is_image ? "image" : "tensor"));
   SHALE_TRY(const std::string access, fields.text("access"));
-  if (access != "read" && access != "write" && access != "read_write")
-    return bad_input(fields.where(), "access \"{}\" is none of read, write, read_write", access);
+  if (access != "read" && access != "load" && access != "write" && access != "read_write")
+    return bad_input(fields.where(), "access \"{}\" is none of read, load, write, read_write",
+                     access);
   binding.reads = access != "write";
-  binding.writes = access != "read";
+  binding.loads = access == "load";
+  binding.writes = access == "write" || access == "read_write";
+  if (binding.loads && !binding.is_image)
+    return bad_input(fields.where(), "access \"load\" is for images, a tensor is read");
   if (fields.has("texels")) {
     SHALE_TRY(const std::string format, fields.text("texels"));
     binding.texels = image_format_from_name(format).value_or(ImageFormat::kNone);
@@ -246,7 +251,11 @@ Result<FramePass> parse_pass(const Fields& fields) {
   }
   SHALE_TRY(pass.name, identifier(fields));
   SHALE_TRY(pass.shader, fields.text("shader"));
-  SHALE_TRY(pass.over, fields.text("over"));
+  if (fields.has("over") && !fields.json()["over"].is_string()) {
+    SHALE_TRY(pass.over_size, parse_size(fields, "over"));
+  } else {
+    SHALE_TRY(pass.over, fields.text("over"));
+  }
   if (fields.has("workgroup")) {
     const Json& size = fields.json()["workgroup"];
     if (!size.is_array() || size.size() != 2 || !size[0].is_number_unsigned() ||

@@ -45,6 +45,7 @@ struct FrameBinding {
   std::string name;  ///< of an image or a tensor
   bool is_image = false;
   bool reads = false, writes = false;
+  bool loads = false;  ///< read as a storage image: on CPU drivers half the cost of texelFetch
   uint32_t frames_back = 0;
   ImageFormat texels = ImageFormat::kNone;  ///< a tensor read as a texel buffer of this format
 };
@@ -54,7 +55,8 @@ struct FramePass {
   std::string name;
   bool is_graph = false;
   std::string shader;  ///< path, relative to frame.json
-  std::string over;    ///< image or tensor whose pixels are the invocations
+  std::string over;    ///< image or tensor whose pixels are the invocations; empty with `over_size`
+  std::optional<FrameSize> over_size;
   uint32_t workgroup[2] = {8, 8};
   std::vector<std::pair<std::string, std::string>> defines;  ///< name and value for the shader
   std::vector<FrameBinding> bindings;

@@ -12,19 +12,11 @@ const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
 
 SHALE_PARAMS;
 
-// Images that this frame's passes write are read as storage images, too: without a level of detail, a fetch is half the
-// work on a CPU. With STORAGE_HISTORY 1 so are those of the frame before, where frame.json can bind them so.
-#ifndef STORAGE_HISTORY
-#define STORAGE_HISTORY 0
-#endif
-#if STORAGE_HISTORY
+// Images that passes write are read as storage images, too: without a level of detail, a fetch is half the work on a
+// CPU.
 #define HISTORY_IMAGE(at, name, layout_format) \
   layout(set = 0, binding = at, layout_format) readonly uniform image2D name
 #define HISTORY_TEXEL(name, at) imageLoad(name, at)
-#else
-#define HISTORY_IMAGE(at, name, layout_format) layout(set = 0, binding = at) uniform texture2D name
-#define HISTORY_TEXEL(name, at) texelFetch(name, at, 0)
-#endif
 
 float not_reset() { return params.reset != 0 ? 0.0 : 1.0; }
 
