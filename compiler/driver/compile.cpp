@@ -125,6 +125,25 @@ class VariantBuilder {
         id, graph_.value(id).is_constant() ? Category::kWeights : Category::kIntermediate);
   }
 
+  /// Constants as one kernel wants them: a tensor of bytes of its own, in the weight blob.
+  uint32_t add_packed(const std::vector<uint8_t>& bytes, const std::string& dispatch) {
+    Resource resource;
+    resource.name = dispatch + "#packed";
+    const auto taken = [&] {
+      return graph_.find_value(resource.name) ||
+             std::any_of(variant_.resources.begin(), variant_.resources.end(),
+                         [&](const Resource& other) { return other.name == resource.name; });
+    };
+    while (taken()) resource.name += '#';
+    resource.category = Category::kWeights;
+    resource.dtype = DType::kInt8;
+    resource.shape = {static_cast<int64_t>(bytes.size())};
+    resource.size_bytes = bytes.size();
+    resource.offset_bytes = blob_.add(bytes);
+    variant_.resources.push_back(std::move(resource));
+    return static_cast<uint32_t>(variant_.resources.size() - 1);
+  }
+
   Result<uint32_t> add_module(const KernelSource& source, const Defines& defines, bool optimize,
                               const std::string& where, const IncludeLoader& load = {}) {
     std::string key = source.glsl;
@@ -173,12 +192,13 @@ class VariantBuilder {
           dispatch.bindings.push_back(
               {.binding = binding,
                .type = from.type,
-               .resource = tensor_of(from.value),
+               .resource = from.constant.empty() ? tensor_of(from.value)
+                                                 : add_packed(from.constant, dispatch.name),
                .view_format = is_texels ? from.view_format : ImageFormat::kNone,
                .reads = !from.writes,
                .writes = from.writes,
                .frames_back = 0});
-          touch(from.value, static_cast<uint32_t>(dispatch_count_));
+          if (from.constant.empty()) touch(from.value, static_cast<uint32_t>(dispatch_count_));
         }
         ++dispatch_count_;
         segment.dispatches.push_back(std::move(dispatch));

@@ -19,6 +19,8 @@ struct KernelBinding {
   BindingType type = BindingType::kStorageBuffer;
   ImageFormat view_format = ImageFormat::kNone;  ///< for texel buffers
   bool writes = false;
+  /// Data of the kernel's own instead of a value: a storage buffer of uvec4, whole ones.
+  std::vector<uint8_t> constant = {};
 };
 
 /// One dispatch as a family emits it; binding i is descriptor i of set 0.

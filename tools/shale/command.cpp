@@ -129,10 +129,13 @@ Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text)
 }
 
 void CompileArguments::add_to(CLI::App& app) {
+  std::string known;
+  for (const DeviceProfile& profile : known_profiles())
+    known += (known.empty() ? "" : ", ") + std::string(profile.name);
   app.add_option("--input-shape", input_shapes,
                  "shape of a graph input, NAME=N,H,W,C (again for each input)")
       ->allow_extra_args(false);
-  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")
+  app.add_option("--target", targets, "device classes, a variant each: " + known)
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
