@@ -159,6 +159,7 @@ class VariantBuilder {
     Requirements& all = variant_.requirements;
     all.features.bits |= needs.features.bits;
     all.workgroup_invocations = std::max(all.workgroup_invocations, needs.workgroup_invocations);
+    all.shared_bytes = std::max(all.shared_bytes, needs.shared_bytes);
     const auto same = std::find(variant_.modules.begin(), variant_.modules.end(), words);
     const uint32_t index = static_cast<uint32_t>(same - variant_.modules.begin());
     if (same == variant_.modules.end()) variant_.modules.push_back(std::move(words));
@@ -403,6 +404,7 @@ class VariantBuilder {
     variant_.requirements = binding_requirements(variant_);
     variant_.requirements.features = from_modules.features;
     variant_.requirements.workgroup_invocations = from_modules.workgroup_invocations;
+    variant_.requirements.shared_bytes = from_modules.shared_bytes;
     for (const std::string& line : missing(profile_.caps, variant_.requirements))
       warnings_.push_back(fmt::format("target {}: {}", profile_.name, line));
   }

@@ -105,6 +105,19 @@ int64_t GpuConv::stored_weight(int64_t oc, int64_t tap, int64_t slot) const {
   return graph_.value(node_.inputs[1]).constant->get((oc * taps() + tap) * weight()[3] + channel);
 }
 
+int64_t GpuConv::centred_weight(int64_t oc, int64_t tap, int64_t slot) const {
+  const bool fills = channel_of_slot_[static_cast<size_t>(slot)] < 0 || oc >= weight()[0];
+  return fills ? 0 : stored_weight(oc, tap, slot) - weight_zp();
+}
+
+bool GpuConv::centred_weights_are_int8() const {
+  if (weight_zp() == 0) return true;
+  const std::vector<int64_t> stored = graph_.value(node_.inputs[1]).constant->ints();
+  return std::all_of(stored.begin(), stored.end(), [&](int64_t w) {
+    return w - weight_zp() >= INT8_MIN && w - weight_zp() <= INT8_MAX;
+  });
+}
+
 int32_t GpuConv::folded_bias(int64_t oc) const {
   if (oc >= weight()[0]) return 0;
   const Tensor& bias = *graph_.value(node_.inputs[2]).constant;

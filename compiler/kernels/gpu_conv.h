@@ -45,6 +45,10 @@ class GpuConv {
   /// The stored weight of a tap's slot; 0 for what fills words and for channels past the last.
   int64_t stored_weight(int64_t oc, int64_t tap, int64_t slot) const;
 
+  /// The same less the weights' zero point, which is int8 only where `centred_weights_are_int8`.
+  int64_t centred_weight(int64_t oc, int64_t tap, int64_t slot) const;
+  bool centred_weights_are_int8() const;
+
   /// Bias less what the input's zero point adds, since kernels multiply stored codes; wraps as
   /// TOSA's legal accumulators do. 0 past the last channel.
   int32_t folded_bias(int64_t oc) const;

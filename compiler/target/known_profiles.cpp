@@ -14,7 +14,7 @@ FeatureSet features(std::initializer_list<Feature> list) {
 
 /// A class of GPUs that has more than generic-gpu. Rates are assumed, for ranking kernels only.
 DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet more,
-                       double dot8_gops) {
+                       double dot8_gops, double matrix_gops) {
   DeviceProfile profile{
       .name = name,
       .help = help,
@@ -36,6 +36,7 @@ DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet 
                .subgroup_size = 32},
       .mul_add_gops = 2000,
       .dot8_gops = dot8_gops,
+      .matrix_gops = matrix_gops,
       .generic_gops = 100,
       .element_ns = 0.05,
       .bandwidth_gbps = 50,
@@ -103,7 +104,11 @@ const std::vector<DeviceProfile>& profiles() {
        .literal_weights = false,
        .source = "assumed: order of magnitude of a phone GPU, for ranking kernels only"},
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",
-               features({Feature::kDotProduct8}), 1000),
+               features({Feature::kDotProduct8}), 1000, 0),
+      gpu_with(
+          "coopmat-gpu",
+          "a GPU with int8 cooperative matrices of 16x16x32 in subgroups of 32 (not run on one)",
+          features({Feature::kDotProduct8, Feature::kCooperativeMatrix}), 1000, 2500),
   };
   return table;
 }

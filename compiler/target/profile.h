@@ -17,6 +17,7 @@ struct DeviceProfile {
   double literal_share = 0;      ///< share of mul_add_gops that kernels with literal weights reach
   double integer_share = 0;      ///< the same for their int32 form
   double dot8_gops = 0;          ///< kernels of int8 dot products, 2 per MAC; weights in buffers
+  double matrix_gops = 0;        ///< kernels of int8 cooperative matrices, the same
   double generic_gops = 0;       ///< one invocation per output element, storage buffers, 2 per MAC
   double element_ns = 0;         ///< cost of one elementwise result of the generic kernel
   double bandwidth_gbps = 0;     ///< bytes read or written per nanosecond

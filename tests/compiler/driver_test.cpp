@@ -91,7 +91,7 @@ TEST(Driver, RefusesWhatItDoesNotKnow) {
   options.targets = {"lavapipe", "abacus"};
   EXPECT_EQ(error_text(compile_text(kSmall, options)),
             "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu, "
-            "dot8-gpu");
+            "dot8-gpu, coopmat-gpu");
   options = fast_options();
   options.kernels = {"generic", "conv2d_s8_abacus"};
   EXPECT_EQ(error_text(compile_text(kSmall, options)),

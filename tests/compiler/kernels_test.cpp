@@ -92,7 +92,9 @@ TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
 
 std::vector<std::string> kernel_names() {
   std::vector<std::string> names;
-  for (const KernelFamily& family : all_kernels()) names.emplace_back(family.name);
+  for (const KernelFamily& family : all_kernels())
+    if (family.name != "conv2d_s8_coopmat")  // no CPU driver has its matrices: see coopmat_test
+      names.emplace_back(family.name);
   return names;
 }
 

@@ -41,6 +41,31 @@ TEST(Select, TakesDotProductsWhereAGpuHasThem) {
     EXPECT_EQ(selected(row.graph(), "dot8-gpu"), "conv2d_s8_dot8") << row.name;
 }
 
+TEST(Select, TakesMatricesFromSixteenChannelsOnWhereAGpuHasThem) {
+  const auto kernel = [](const ConvCase& row) {
+    return selected(row.graph(), "coopmat-gpu", {"conv2d_s8_coopmat"});
+  };
+  for (ConvCase row : edge_conv_cases()) {
+    EXPECT_EQ(kernel(row), row.oc >= 16 ? "conv2d_s8_coopmat" : "generic") << row.name;
+    // Weights of full range leave int8 without their zero point.
+    row.oc = 16;
+    EXPECT_EQ(kernel(row), row.weight_zp == 0 ? "conv2d_s8_coopmat" : "generic") << row.name;
+  }
+  EXPECT_EQ(kernel({.name = "small_zp", .oc = 16, .weight_zp = 7, .weight_min = -121}),
+            "conv2d_s8_coopmat");
+}
+
+TEST(Select, PrefersMatricesWhereTheyAreFull) {
+  const auto kernel = [](int64_t ic, int64_t oc) {
+    return selected(ConvCase{.name = "", .h = 64, .w = 64, .ic = ic, .oc = oc}.graph(),
+                    "coopmat-gpu");
+  };
+  EXPECT_EQ(kernel(32, 16), "conv2d_s8_coopmat");
+  EXPECT_EQ(kernel(12, 32), "conv2d_s8_coopmat");
+  EXPECT_EQ(kernel(32, 15), "conv2d_s8_dot8");
+  EXPECT_EQ(kernel(4, 17), "conv2d_s8_dot8");  // 36 bytes in chunks of 32, 17 channels of 32
+}
+
 TEST(Select, ObeysTheListOfAllowedFamilies) {
   const Graph graph = ConvCase{.name = "plain"}.graph();
   EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32"}), "conv2d_s8_i32");
