@@ -26,7 +26,19 @@ Json describe(const DeviceCaps& caps) {
   Json features = Json::object();
   for (uint32_t i = 0; i < kFeatureCount; ++i)
     features[feature_name(static_cast<Feature>(i))] = caps.features.has(static_cast<Feature>(i));
-  const std::string_view target = caps.cpu ? "lavapipe" : "generic-gpu";
+  const bool dots = caps.features.has(Feature::kDotProduct8);
+  const bool matrices = dots && caps.features.has(Feature::kCooperativeMatrix);
+  const std::string_view target = caps.cpu   ? "lavapipe"
+                                  : matrices ? "coopmat-gpu"
+                                  : dots     ? "dot8-gpu"
+                                             : "generic-gpu";
+  Json kernels{"generic"};
+  if (caps.cpu)
+    kernels = {"conv2d_s8_f32exact", "conv2d_s8_i32", "generic"};
+  else if (matrices)
+    kernels = {"conv2d_s8_coopmat", "conv2d_s8_dot8", "generic"};
+  else if (dots)
+    kernels = {"conv2d_s8_dot8", "generic"};
   return {{"name", caps.name},
           {"driver", caps.driver},
           {"vulkan", version(caps.api_version)},
@@ -38,8 +50,7 @@ Json describe(const DeviceCaps& caps) {
           {"storage_range_bytes", caps.max_storage_range_bytes},
           {"texel_elements", caps.max_texel_elements},
           {"target", target},
-          {"kernels",
-           caps.cpu ? Json{"conv2d_s8_f32exact", "conv2d_s8_i32", "generic"} : Json{"generic"}},
+          {"kernels", kernels},
           {"missing", lacking(caps)}};
 }
 
@@ -70,7 +81,7 @@ Result<int> doctor(bool as_json) {
   } else {
     SHALE_TRY(const std::vector<VkPhysicalDevice> devices, instance->physical_devices());
     for (const VkPhysicalDevice device : devices) {
-      const DeviceCaps caps = vk::snapshot_caps(device);
+      const DeviceCaps caps = vk::snapshot_caps(device, instance->get());
       json["devices"].push_back(describe(caps));
       if (lacking(caps).empty()) exit = kDone;
     }
