@@ -99,6 +99,7 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
           needs.features.add(Feature::kDotProduct8);
           break;
         case kCapabilityCooperativeMatrixKhr:
+        case spv::CapabilityVulkanMemoryModel:  // which goes with it
           needs.features.add(Feature::kCooperativeMatrix);
           break;
         default:

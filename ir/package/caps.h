@@ -16,7 +16,8 @@ enum class Feature : uint32_t {
   kInt64 = 4,            ///< shaderInt64
   kFloat16 = 5,          ///< shaderFloat16
   kDotProduct8 = 6,      ///< shaderIntegerDotProduct
-  /// VK_KHR_cooperative_matrix with products of 16x32 by 32x16 int8 into int32, in subgroups of 32
+  /// VK_KHR_cooperative_matrix with products of 16x32 by 32x16 int8 into int32, in subgroups of 32;
+  /// and vulkanMemoryModel, which modules with such products have to use
   kCooperativeMatrix = 7,
 };
 inline constexpr uint32_t kFeatureCount = 8;

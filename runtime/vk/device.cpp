@@ -85,7 +85,8 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device, VkInstance instance) {
   caps.max_texel_buffers = limits.maxPerStageDescriptorSampledImages;
   caps.max_storage_images = limits.maxPerStageDescriptorStorageImages;
   caps.subgroup_size = v11.subgroupSize;
-  if (supports_cooperative_matrices(instance, device, caps.subgroup_size))
+  if (features.v12.vulkanMemoryModel &&  // modules with matrices have to use it
+      supports_cooperative_matrices(instance, device, caps.subgroup_size))
     caps.features.add(Feature::kCooperativeMatrix);
   return caps;
 }
@@ -148,6 +149,7 @@ Result<Device> Device::create(VkPhysicalDevice physical_device, VkInstance insta
   info.pQueueCreateInfos = &queue_info;
   CooperativeMatrixFeatures matrices{.next = &enabled.v10, .cooperative_matrix = VK_TRUE};
   if (caps.features.has(Feature::kCooperativeMatrix)) {
+    enabled.v12.vulkanMemoryModel = VK_TRUE;
     info.pNext = &matrices;
     info.enabledExtensionCount = 1;
     info.ppEnabledExtensionNames = &kCooperativeMatrixExtension;

@@ -13,7 +13,11 @@ shared uint stage[256];
 
 #ifndef SHALE_PLAIN_MATRICES
 
-const int kSubgroup = 3, kM = 16, kN = 16, kK = 32, kUseA = 0, kUseB = 1, kAccumulator = 2, kRowMajor = 0;
+// The extension demands it.
+#pragma use_vulkan_memory_model
+
+const int kSubgroup = 3, kM = 16, kN = 16, kK = 32, kUseA = 0, kUseB = 1, kAccumulator = 2, kRowMajor = 0,
+          kWorkgroup = 2;
 
 #define MATRIX(bits, rows, columns, use)                                                                      \
   spirv_type(extensions = ["SPV_KHR_cooperative_matrix"], capabilities = [6022], id = 4456, bits, kSubgroup, rows, \
@@ -23,13 +27,13 @@ const int kSubgroup = 3, kM = 16, kN = 16, kK = 32, kUseA = 0, kUseB = 1, kAccum
 #define MatrixC MATRIX(32, kM, kN, kAccumulator)
 
 spirv_instruction(extensions = ["SPV_KHR_cooperative_matrix"], capabilities = [6022], id = 4457)
-MatrixA load_a(spirv_by_reference uint from, int layout_, int stride);
+MatrixA load_a(spirv_by_reference uint from, int layout_, int stride, spirv_literal int memory, int scope);
 
 spirv_instruction(extensions = ["SPV_KHR_cooperative_matrix"], capabilities = [6022], id = 4457)
 MatrixB load_b(spirv_by_reference uvec4 from, int layout_, int stride);
 
 spirv_instruction(extensions = ["SPV_KHR_cooperative_matrix"], capabilities = [6022], id = 4458)
-void store_c(spirv_by_reference uint to, MatrixC c, int layout_, int stride);
+void store_c(spirv_by_reference uint to, MatrixC c, int layout_, int stride, spirv_literal int memory, int scope);
 
 // Operands: 15 says that A, B, C and the result are signed.
 spirv_instruction(extensions = ["SPV_KHR_cooperative_matrix"], capabilities = [6022], id = 4459)
@@ -39,11 +43,13 @@ MatrixC multiply_add(MatrixA a, MatrixB b, MatrixC c, spirv_literal int operands
 spirv_instruction(id = 80) MatrixC filled(int value);
 
 // Strides are in elements of the array: rows of A have 8 words, rows of B one uvec4, rows of C 16 words.
+// Memory operands as for other accesses to shared memory: 0x20 is NonPrivatePointer, 0x10 MakePointerVisible, 0x8
+// MakePointerAvailable.
 #define MATRIX_ZERO filled(0)
-#define MATRIX_LOAD_A(at) load_a(stage[at], kRowMajor, 8)
+#define MATRIX_LOAD_A(at) load_a(stage[at], kRowMajor, 8, 0x30, kWorkgroup)
 #define MATRIX_LOAD_B(at) load_b(WEIGHTS[at], kRowMajor, 1)
 #define MATRIX_MULTIPLY_ADD(a, b, c) multiply_add(a, b, c, 15)
-#define MATRIX_STORE_C(at, c) store_c(stage[at], c, kRowMajor, 16)
+#define MATRIX_STORE_C(at, c) store_c(stage[at], c, kRowMajor, 16, 0x28, kWorkgroup)
 
 #else
 

@@ -194,6 +194,7 @@ TEST(CoopmatModule, HasTheInstructionsOfTheExtension) {
   }
   EXPECT_TRUE(capabilities.contains(6022));  // CooperativeMatrixKHR
   EXPECT_TRUE(capabilities.contains(39));    // Int8
+  EXPECT_TRUE(capabilities.contains(5345));  // VulkanMemoryModel
   std::set<std::vector<uint32_t>> kinds;
   for (const auto& [id, kind] : matrices) kinds.insert(kind);
   // Bits, signed, scope subgroup, rows, columns, use.
@@ -207,20 +208,25 @@ TEST(CoopmatModule, HasTheInstructionsOfTheExtension) {
   for (const std::vector<uint32_t>& i : all) {
     switch (i[0] & 0xffff) {
       case 4457: {
-        ASSERT_EQ(i.size(), 6u);
+        ASSERT_EQ(i.size(), matrices[i[1]] == a ? 8u : 6u);
         const std::vector<uint32_t> pointer = pointers[types_of[i[3]]];
         ASSERT_EQ(pointer.size(), 2u);
         EXPECT_EQ(constants[i[4]], 0u);                         // row major
         EXPECT_EQ(pointer[0], matrices[i[1]] == a ? 4u : 12u);  // Workgroup, StorageBuffer
         EXPECT_EQ(constants[i[5]], matrices[i[1]] == a ? 8u : 1u);
+        if (i.size() == 6) break;
+        EXPECT_EQ(i[6], 0x30u);  // NonPrivatePointer, MakePointerVisible
+        EXPECT_EQ(constants[i[7]], 2u);
         break;
       }
       case 4458:
-        ASSERT_EQ(i.size(), 5u);
+        ASSERT_EQ(i.size(), 7u);
         EXPECT_EQ(pointers[types_of[i[1]]][0], 4u);
         EXPECT_EQ(matrices[types_of[i[2]]], c);
         EXPECT_EQ(constants[i[3]], 0u);
         EXPECT_EQ(constants[i[4]], 16u);
+        EXPECT_EQ(i[5], 0x28u);  // NonPrivatePointer, MakePointerAvailable
+        EXPECT_EQ(constants[i[6]], 2u);
         break;
       case 4459:
         ASSERT_EQ(i.size(), 7u);
