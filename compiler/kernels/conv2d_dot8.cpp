@@ -9,8 +9,8 @@
 // zero, so there is no border to copy.
 //
 // Exact for all weights: sums are int32, and TOSA's legal results wrap back into range. Source:
-// ours; the arrangement of weights and the folded zero point as in the dot product kernel that
-// reference implementations of NSS on GPUs use. Run on lavapipe only, not on a GPU.
+// ours; the order of weights and the folded zero point as in nss.md section 8. Run on lavapipe
+// only, not on a GPU.
 #include <algorithm>
 
 #include "compiler/kernels/gpu_conv.h"

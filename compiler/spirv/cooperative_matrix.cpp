@@ -82,11 +82,12 @@ std::vector<Instruction>::iterator first_type(std::vector<Instruction>& instruct
 }  // namespace
 
 bool uses_cooperative_matrices(const Spirv& words) {
-  const auto instructions = parse(words, "");
-  return instructions &&
-         std::any_of(instructions->begin(), instructions->end(), [](const Instruction& each) {
-           return each == make(kOpCapability, {kCapabilityKhr});
-         });
+  // Capabilities stand first; most modules are long and have nothing to look for.
+  for (size_t at = kHeaderWords; at + 1 < words.size(); at += 2) {
+    if (words[at] != (2u << 16 | kOpCapability)) return false;
+    if (words[at + 1] == kCapabilityKhr) return true;
+  }
+  return false;
 }
 
 Result<void> complete_cooperative_matrices(Spirv& words, const std::string& where) {
