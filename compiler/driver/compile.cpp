@@ -127,6 +127,25 @@ class VariantBuilder {
         id, graph_.value(id).is_constant() ? Category::kWeights : Category::kIntermediate);
   }
 
+  /// Constants as one kernel wants them: a tensor of bytes of its own, in the weight blob.
+  uint32_t add_packed(const std::vector<uint8_t>& bytes, const std::string& dispatch) {
+    Resource resource;
+    resource.name = dispatch + "#packed";
+    const auto taken = [&] {
+      return graph_.find_value(resource.name) ||
+             std::any_of(variant_.resources.begin(), variant_.resources.end(),
+                         [&](const Resource& other) { return other.name == resource.name; });
+    };
+    while (taken()) resource.name += '#';
+    resource.category = Category::kWeights;
+    resource.dtype = DType::kInt8;
+    resource.shape = {static_cast<int64_t>(bytes.size())};
+    resource.size_bytes = bytes.size();
+    resource.offset_bytes = blob_.add(bytes);
+    variant_.resources.push_back(std::move(resource));
+    return static_cast<uint32_t>(variant_.resources.size() - 1);
+  }
+
   /// A source as SPIR-V, and what it asks of the device. May run on any thread.
   struct Module {
     Spirv words;
@@ -136,9 +155,9 @@ class VariantBuilder {
                               const std::string& where, const IncludeLoader& load = {}) const {
     Module module;
     SHALE_TRY(module.words, compile_glsl(source.glsl, defines, where, load));
-    if (source.is_literal) {
+    if (source.optimize == OptimizeBy::kForwarding) {
       module.words = forward_locals(module.words);
-    } else if (options_.optimize_spirv) {
+    } else if (source.optimize == OptimizeBy::kSpirvOpt && options_.optimize_spirv) {
       SHALE_TRY(module.words, optimize_spirv(module.words, where));
     }
     SHALE_TRY_VOID(validate_spirv(module.words, where));
@@ -152,6 +171,7 @@ class VariantBuilder {
     all.features.bits |= module.needs.features.bits;
     all.workgroup_invocations =
         std::max(all.workgroup_invocations, module.needs.workgroup_invocations);
+    all.shared_bytes = std::max(all.shared_bytes, module.needs.shared_bytes);
     const auto same = std::find(variant_.modules.begin(), variant_.modules.end(), module.words);
     const uint32_t index = static_cast<uint32_t>(same - variant_.modules.begin());
     if (same == variant_.modules.end()) variant_.modules.push_back(std::move(module.words));
@@ -240,12 +260,14 @@ class VariantBuilder {
           dispatch.bindings.push_back(
               {.binding = binding,
                .type = from.type,
-               .resource = tensor_of(from.value),
+               .resource = from.constant.empty() ? tensor_of(from.value)
+                                                 : add_packed(from.constant, dispatch.name),
                .view_format = is_texels ? from.view_format : ImageFormat::kNone,
                .reads = !from.writes,
                .writes = from.writes,
                .frames_back = 0});
-          touch(from.value, static_cast<uint32_t>(dispatch_count_));
+          if (from.constant.empty())
+            if (from.constant.empty()) touch(from.value, static_cast<uint32_t>(dispatch_count_));
         }
         ++dispatch_count_;
         segment.dispatches.push_back(std::move(dispatch));
@@ -456,6 +478,7 @@ class VariantBuilder {
     variant_.requirements = binding_requirements(variant_);
     variant_.requirements.features = from_modules.features;
     variant_.requirements.workgroup_invocations = from_modules.workgroup_invocations;
+    variant_.requirements.shared_bytes = from_modules.shared_bytes;
     for (const std::string& line : missing(profile_.caps, variant_.requirements))
       warnings_.push_back(fmt::format("target {}: {}", profile_.name, line));
   }

@@ -79,6 +79,12 @@ size_t Codegen::bind(ValueId id, BindingType type, ImageFormat format, bool writ
   return entry->second;
 }
 
+size_t Codegen::bind_constant(std::vector<uint8_t> bytes) {
+  SHALE_CHECK(!bytes.empty() && bytes.size() % 16 == 0);
+  bindings_.push_back({.value = {}, .constant = std::move(bytes)});
+  return bindings_.size() - 1;
+}
+
 std::string Codegen::load(ValueId id, const Position& at) {
   if (const auto local = locals_.find(id); local != locals_.end()) return local->second;
   const Value& source = value(id);
@@ -347,9 +353,9 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
       text += fmt::format(
           "layout(set = 0, binding = {0}, std430) {1} buffer B{0} {{ {2} d[]; }} b{0};\n", i,
           binding.writes ? "writeonly" : "readonly",
-          quads   ? "uvec4"
-          : words ? "uint"
-                  : memory_type(value(binding.value).type.dtype));
+          !binding.constant.empty() || quads ? "uvec4"
+          : words                            ? "uint"
+                                             : memory_type(value(binding.value).type.dtype));
   }
   return text + "\n" + functions_ + "void main() {\n" + body + "}\n";
 }

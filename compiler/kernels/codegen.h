@@ -28,6 +28,9 @@ class Codegen {
   /// The binding number of a buffer value; declares it on first use.
   size_t bind(ValueId id, BindingType type, ImageFormat format, bool writes);
 
+  /// The binding number of a buffer of uvec4 that holds the kernel's own constants.
+  size_t bind_constant(std::vector<uint8_t> bytes);
+
   /// Expression for one element of a value: a local, a literal, a call into a folded view, or a
   /// load. `at` is a position in the value's own shape.
   std::string load(ValueId id, const Position& at);

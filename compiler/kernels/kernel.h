@@ -21,6 +21,15 @@ struct KernelBinding {
   /// (uint) or kRgba32Uint (uvec4) instead of single bytes.
   ImageFormat view_format = ImageFormat::kNone;
   bool writes = false;
+  /// Data of the kernel's own instead of a value: a storage buffer of uvec4, whole ones.
+  std::vector<uint8_t> constant = {};
+};
+
+/// What is done to a kernel's SPIR-V.
+enum class OptimizeBy {
+  kSpirvOpt,
+  kForwarding,  ///< forward_locals alone: spirv-opt would take long over thousands of products
+  kNothing,     ///< instructions that spirv-opt does not know
 };
 
 /// One dispatch as a family emits it; binding i is descriptor i of set 0.
@@ -28,8 +37,7 @@ struct KernelSource {
   std::string glsl;
   std::array<uint32_t, 3> workgroups{1, 1, 1};
   std::vector<KernelBinding> bindings;
-  /// Weights stand in the code: spirv-opt would take long over it and gain nothing.
-  bool is_literal = false;
+  OptimizeBy optimize = OptimizeBy::kSpirvOpt;
 };
 
 /// A group to be compiled, with what selection needs to know about it.

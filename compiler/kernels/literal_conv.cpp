@@ -239,7 +239,7 @@ KernelSource LiteralConv::finish(const std::string& body, int64_t grid_x, int64_
   source.workgroups = {static_cast<uint32_t>(ceil_div(grid_x, local_x(grid_x))),
                        static_cast<uint32_t>(grid_y), static_cast<uint32_t>(out()[0])};
   source.bindings = codegen_.bindings();
-  source.is_literal = true;
+  source.optimize = OptimizeBy::kForwarding;
   return source;
 }
 

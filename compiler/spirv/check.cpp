@@ -1,13 +1,18 @@
 #include "compiler/spirv/check.h"
 
+#include <algorithm>
+#include <map>
 #include <spirv-tools/libspirv.hpp>
 #include <spirv-tools/optimizer.hpp>
 #include <spirv/unified1/spirv.hpp>
+
+#include "compiler/spirv/cooperative_matrix.h"
 
 namespace shale {
 namespace {
 
 constexpr spv_target_env kEnvironment = SPV_ENV_VULKAN_1_3;
+constexpr uint32_t kCapabilityCooperativeMatrixKhr = 6022;  // not in the headers of 2023
 
 /// Collects what SPIRV-Tools says into one line.
 spvtools::MessageConsumer into(std::string& text) {
@@ -32,15 +37,25 @@ Result<Spirv> optimize_spirv(const Spirv& words, const std::string& where) {
   return result;
 }
 
-Result<void> validate_spirv(const Spirv& words, const std::string& where) {
+Result<Validity> validate_spirv(const Spirv& words, const std::string& where) {
+  if (uses_cooperative_matrices(words)) {
+    SHALE_TRY(const Spirv older, with_older_matrices(words, where));
+    SHALE_TRY_VOID(validate_spirv(older, where));
+    return Validity::kNewerThanValidator;
+  }
   spvtools::SpirvTools tools(kEnvironment);
   std::string message;
   tools.SetMessageConsumer(into(message));
   if (!tools.Validate(words)) return bad_input(where, "the module is not valid: {}", message);
-  return {};
+  return Validity::kValid;
 }
 
 Result<std::string> disassemble_spirv(const Spirv& words) {
+  if (uses_cooperative_matrices(words)) {
+    SHALE_TRY(const Spirv older, with_older_matrices(words, ""));
+    SHALE_TRY(const std::string text, disassemble_spirv(older));
+    return "; SPV_KHR_cooperative_matrix, shown as SPV_NV_cooperative_matrix\n" + text;
+  }
   spvtools::SpirvTools tools(kEnvironment);
   std::string message, text;
   tools.SetMessageConsumer(into(message));
@@ -53,6 +68,9 @@ Result<std::string> disassemble_spirv(const Spirv& words) {
 
 Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
   SpirvNeeds needs;
+  // Bytes of types by id, of constants their value: enough to size the variables of a workgroup.
+  std::map<uint32_t, uint64_t> sizes, constants, shared;
+  uint64_t shared_bytes = 0;
   for (size_t at = 5; at < words.size();) {
     const uint32_t opcode = words[at] & 0xffff, length = words[at] >> 16;
     if (length == 0 || at + length > words.size())
@@ -80,6 +98,10 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
         case spv::CapabilityDotProductInput4x8BitPacked:
           needs.features.add(Feature::kDotProduct8);
           break;
+        case kCapabilityCooperativeMatrixKhr:
+        case spv::CapabilityVulkanMemoryModel:  // which goes with it
+          needs.features.add(Feature::kCooperativeMatrix);
+          break;
         default:
           return unsupported(where, "the module asks for SPIR-V capability {}", words[at + 1]);
       }
@@ -87,8 +109,43 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
     if (opcode == spv::OpExecutionMode && length == 6 &&
         words[at + 2] == spv::ExecutionModeLocalSize)
       needs.workgroup_invocations = words[at + 3] * words[at + 4] * words[at + 5];
+    const uint32_t* operand = words.data() + at;
+    switch (opcode) {
+      case spv::OpTypeInt:
+      case spv::OpTypeFloat:
+        if (length >= 3) sizes[operand[1]] = operand[2] / 8;
+        break;
+      case spv::OpTypeBool:
+        if (length >= 2) sizes[operand[1]] = 4;
+        break;
+      case spv::OpTypeVector:
+      case spv::OpTypeMatrix:
+        if (length >= 4) sizes[operand[1]] = sizes[operand[2]] * operand[3];
+        break;
+      case spv::OpTypeArray:
+        if (length >= 4) sizes[operand[1]] = sizes[operand[2]] * constants[operand[3]];
+        break;
+      case spv::OpTypeStruct:
+        if (length >= 2)
+          for (uint32_t member = 2; member < length; ++member)
+            sizes[operand[1]] += sizes[operand[member]];
+        break;
+      case spv::OpConstant:
+        if (length >= 4) constants[operand[2]] = operand[3];
+        break;
+      case spv::OpTypePointer:
+        if (length >= 4 && operand[2] == spv::StorageClassWorkgroup)
+          shared[operand[1]] = sizes[operand[3]];
+        break;
+      case spv::OpVariable:
+        if (length >= 4 && operand[3] == spv::StorageClassWorkgroup)
+          shared_bytes += shared[operand[1]];
+        break;
+      default: break;
+    }
     at += length;
   }
+  needs.shared_bytes = static_cast<uint32_t>(std::min<uint64_t>(shared_bytes, UINT32_MAX));
   return needs;
 }
 

@@ -12,18 +12,28 @@ namespace shale {
 /// Errors: kBadInput if the words are no module.
 Result<Spirv> optimize_spirv(const Spirv& words, const std::string& where);
 
-/// Errors: kBadInput with the validator's message.
-Result<void> validate_spirv(const Spirv& words, const std::string& where);
+/// How much of a module the validator could judge.
+enum class Validity {
+  kValid,
+  /// The module has instructions newer than the validator. It is valid in their older form, which
+  /// says the same but for details; those were checked by hand (cooperative_matrix.h).
+  kNewerThanValidator,
+};
 
-/// Assembly text.
+/// Errors: kBadInput with the validator's message.
+Result<Validity> validate_spirv(const Spirv& words, const std::string& where);
+
+/// Assembly text; instructions newer than the disassembler in their older form, under a comment.
 /// Errors: kBadInput if the words are no module.
 Result<std::string> disassemble_spirv(const Spirv& words);
 
-/// Device features behind the module's OpCapability instructions, and its workgroup's invocations.
+/// Device features behind the module's OpCapability instructions, its workgroup's invocations and
+/// shared memory.
 /// Errors: kUnsupported for a capability that has no Feature.
 struct SpirvNeeds {
   FeatureSet features;
   uint32_t workgroup_invocations = 1;
+  uint32_t shared_bytes = 0;
 };
 Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where);
 

@@ -6,6 +6,7 @@
 #include <deque>
 #include <memory>
 
+#include "compiler/spirv/cooperative_matrix.h"
 #include "compiler/spirv/include_embedded.h"
 
 namespace shale {
@@ -101,9 +102,11 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
   Spirv words;
   glslang::SpvOptions options;
   options.generateDebugInfo = false;
-  options.stripDebugInfo = true;
+  // Where there are matrices, glslang would only complain about what it does not know.
+  options.stripDebugInfo = source.find("coopmat.glsl") == std::string_view::npos;
   options.disableOptimizer = true;
   glslang::GlslangToSpv(*program.getIntermediate(EShLangCompute), words, &options);
+  SHALE_TRY_VOID(complete_cooperative_matrices(words, where));
   return words;
 }
 

@@ -9,14 +9,16 @@ namespace shale {
 
 /// A bit per optional device feature that a kernel may use. The numbers are stored in packages.
 enum class Feature : uint32_t {
-  kStorageBuffer8 = 0,     ///< 8-bit values in storage buffers
-  kStorageBuffer16 = 1,    ///< 16-bit values in storage buffers
-  kInt8 = 2,               ///< shaderInt8
-  kInt16 = 3,              ///< shaderInt16
-  kInt64 = 4,              ///< shaderInt64
-  kFloat16 = 5,            ///< shaderFloat16
-  kDotProduct8 = 6,        ///< shaderIntegerDotProduct
-  kCooperativeMatrix = 7,  ///< never reported by runtime/vk: Vulkan headers 1.3.239 do not know it
+  kStorageBuffer8 = 0,   ///< 8-bit values in storage buffers
+  kStorageBuffer16 = 1,  ///< 16-bit values in storage buffers
+  kInt8 = 2,             ///< shaderInt8
+  kInt16 = 3,            ///< shaderInt16
+  kInt64 = 4,            ///< shaderInt64
+  kFloat16 = 5,          ///< shaderFloat16
+  kDotProduct8 = 6,      ///< shaderIntegerDotProduct
+  /// VK_KHR_cooperative_matrix with products of 16x32 by 32x16 int8 into int32, in subgroups of 32;
+  /// and vulkanMemoryModel, which modules with such products have to use
+  kCooperativeMatrix = 7,
 };
 inline constexpr uint32_t kFeatureCount = 8;
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "runtime/vk/cooperative_matrix.h"
 #include "runtime/vk/handle.h"
 
 namespace shale::vk {
@@ -54,7 +55,7 @@ std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {
 
 }  // namespace
 
-DeviceCaps snapshot_caps(VkPhysicalDevice device) {
+DeviceCaps snapshot_caps(VkPhysicalDevice device, VkInstance instance) {
   auto v11 = init<VkPhysicalDeviceVulkan11Properties>(
       VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES);
   auto v12 = init<VkPhysicalDeviceVulkan12Properties>(
@@ -84,6 +85,9 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device) {
   caps.max_texel_buffers = limits.maxPerStageDescriptorSampledImages;
   caps.max_storage_images = limits.maxPerStageDescriptorStorageImages;
   caps.subgroup_size = v11.subgroupSize;
+  if (features.v12.vulkanMemoryModel &&  // modules with matrices have to use it
+      supports_cooperative_matrices(instance, device, caps.subgroup_size))
+    caps.features.add(Feature::kCooperativeMatrix);
   return caps;
 }
 
@@ -121,8 +125,8 @@ Result<Context> wrap_device(VkPhysicalDevice physical_device, VkDevice device,
   return context;
 }
 
-Result<Device> Device::create(VkPhysicalDevice physical_device) {
-  DeviceCaps caps = snapshot_caps(physical_device);
+Result<Device> Device::create(VkPhysicalDevice physical_device, VkInstance instance) {
+  DeviceCaps caps = snapshot_caps(physical_device, instance);
   const std::optional<uint32_t> family = choose_queue_family(queue_families(physical_device));
   if (!family) return device_error(caps.name, "has no queue that computes");
 
@@ -143,6 +147,13 @@ Result<Device> Device::create(VkPhysicalDevice physical_device) {
   info.pNext = &enabled.v10;
   info.queueCreateInfoCount = 1;
   info.pQueueCreateInfos = &queue_info;
+  CooperativeMatrixFeatures matrices{.next = &enabled.v10, .cooperative_matrix = VK_TRUE};
+  if (caps.features.has(Feature::kCooperativeMatrix)) {
+    enabled.v12.vulkanMemoryModel = VK_TRUE;
+    info.pNext = &matrices;
+    info.enabledExtensionCount = 1;
+    info.ppEnabledExtensionNames = &kCooperativeMatrixExtension;
+  }
   VkDevice device = VK_NULL_HANDLE;
   SHALE_TRY_VOID(check(vkCreateDevice(physical_device, &info, nullptr, &device), "vkCreateDevice"));
   Device result;

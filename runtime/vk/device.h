@@ -13,8 +13,9 @@
 
 namespace shale::vk {
 
-/// What a device can do, as plain data. `device` must support Vulkan 1.3.
-DeviceCaps snapshot_caps(VkPhysicalDevice device);
+/// What a device can do, as plain data. `device` must support Vulkan 1.3. Cooperative matrices can
+/// only be asked for with the `instance` that the device is from; without it they are not reported.
+DeviceCaps snapshot_caps(VkPhysicalDevice device, VkInstance instance = VK_NULL_HANDLE);
 
 /// The family that computes with least else to do: one without graphics if there is one, else the
 /// first with compute. Nothing if no family computes.
@@ -46,8 +47,10 @@ Result<Context> wrap_device(VkPhysicalDevice physical_device, VkDevice device,
 /// An own device with one queue and every feature that caps know of and the device supports.
 class Device {
  public:
+  /// `instance` as in snapshot_caps.
   /// Errors: kDevice if the device cannot compute or refuses to be created.
-  static Result<Device> create(VkPhysicalDevice physical_device);
+  static Result<Device> create(VkPhysicalDevice physical_device,
+                               VkInstance instance = VK_NULL_HANDLE);
   Device(Device&& other) noexcept;
   Device& operator=(Device&& other) noexcept;
   ~Device();

@@ -47,7 +47,7 @@ constexpr const char* kSmall = R"(graph main {
 
 TEST(Driver, GivesTheSameBytesTwice) {
   CompileOptions options;
-  options.targets = {"lavapipe", "generic-gpu"};
+  options.targets = {"lavapipe", "generic-gpu", "dot8-gpu", "coopmat-gpu"};
   for (const ConvCase& row : edge_conv_cases()) {
     if (row.name != "table_oc17" && row.name != "pad_of_concat_of_resize" &&
         row.name != "residual_oc5")
@@ -63,7 +63,7 @@ TEST(Driver, GivesTheSameBytesTwice) {
 
 TEST(Driver, WritesPackagesThatReadBackEqual) {
   CompileOptions options = fast_options();
-  options.targets = {"lavapipe", "generic-gpu"};
+  options.targets = {"lavapipe", "generic-gpu", "dot8-gpu", "coopmat-gpu"};
   for (const ConvCase& row : edge_conv_cases()) {
     if (row.name == "several_modules" || row.name == "beyond_float")
       continue;  // large, and no different here
@@ -90,7 +90,8 @@ TEST(Driver, RefusesWhatItDoesNotKnow) {
   CompileOptions options = fast_options();
   options.targets = {"lavapipe", "abacus"};
   EXPECT_EQ(error_text(compile_text(kSmall, options)),
-            "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu");
+            "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu, "
+            "dot8-gpu, coopmat-gpu");
   options = fast_options();
   options.kernels = {"generic", "conv2d_s8_abacus"};
   EXPECT_EQ(error_text(compile_text(kSmall, options)),
@@ -148,12 +149,43 @@ TEST(Driver, MakesAVariantForEachTarget) {
   EXPECT_EQ(both.package.variants[0].target, "generic-gpu");
   EXPECT_EQ(both.package.variants[1].target, "lavapipe");
   EXPECT_EQ(graph_dispatches(both, 0)[0].kernel, "generic");
-  EXPECT_EQ(graph_dispatches(both, 1)[0].kernel, "conv2d_s8_f32exact");
+  EXPECT_EQ(graph_dispatches(both, 1)[0].kernel, "conv2d_s8_winograd");
   options.targets = {"generic-gpu"};
   const Compiled one = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, options));
   EXPECT_TRUE(one.package.variants[0] == both.package.variants[0]);
   // The second variant adds no weights: its own are in the code or lie there already.
   EXPECT_EQ(one.package.weights, both.package.weights);
+}
+
+TEST(Driver, PacksWeightsForTheKernelsThatWantThem) {
+  CompileOptions options = fast_options();
+  options.targets = {"dot8-gpu"};
+  Graph graph = graph_of(R"(graph main {
+  input %x : i8[1,1,1,1]
+  const %zp : i8[1] = [3]
+  const %w : i8[2,1,1,1] = [5,-7]
+  const %b : i32[2] = [100,200]
+  %y = conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,1,1,2]
+  return %y
+})");
+  // A value has the name that the packed weights would have.
+  graph.values[graph.inputs[0].index].name = "y#packed";
+  options.pass_options.optimize = false;
+  const Compiled compiled = must(compile_graph(std::move(graph), 0, options));
+  const Variant& variant = compiled.package.variants[0];
+  const Dispatch& dispatch = graph_dispatches(compiled)[0];
+  EXPECT_EQ(dispatch.kernel, "conv2d_s8_dot8");
+  const Resource& packed = variant.resources[dispatch.bindings[0].resource];
+  EXPECT_EQ(packed.name, "y#packed#");
+  EXPECT_EQ(packed.category, Category::kWeights);
+  // A word of four input channels for each of four output channels, then the bias less
+  // 3 * (w - 3); what is not there is 0. The weights as they came are not in the package.
+  std::vector<uint8_t> expected(32);
+  expected[0] = 5;
+  expected[4] = static_cast<uint8_t>(-7);
+  expected[16] = 100 - 3 * (5 - 3);
+  expected[20] = 200 - 3 * (-7 - 3);
+  EXPECT_EQ(compiled.package.weights, expected);
 }
 
 TEST(Driver, SharesModulesOfEqualContent) {
@@ -212,15 +244,17 @@ TEST(Driver, RefusesNamesThatNoPackageMayHave) {
 }
 
 TEST(Driver, KeepsNamesOfPartsApartFromNamesOfValues) {
-  // A convolution in three modules is called y, y#1 and y#2.
+  // A convolution in four modules is called y, y#1, y#2 and y#3.
   for (const ConvCase& row : edge_conv_cases()) {
     if (row.name != "several_modules") continue;
     Graph graph = row.graph();
     const ValueId x = graph.inputs[0];
     graph.outputs.push_back(
         graph.add_node(Op::kBitwiseNot, {}, {x}, "clamped#1", graph.value(x).type));
-    const Compiled compiled = must(compile_graph(graph, 0, fast_options()));
-    ASSERT_EQ(graph_dispatches(compiled).size(), 4u);
+    CompileOptions options = fast_options();
+    options.kernels = {"conv2d_s8_i32"};
+    const Compiled compiled = must(compile_graph(graph, 0, options));
+    ASSERT_EQ(graph_dispatches(compiled).size(), 5u);
     EXPECT_TRUE(check_package(compiled.package)) << error_text(check_package(compiled.package));
   }
 }

@@ -63,6 +63,36 @@ TEST(Select, KeepsWeightsInBuffersOnGpus) {
     EXPECT_EQ(selected(row.graph(), "generic-gpu"), "generic") << row.name;
 }
 
+TEST(Select, TakesDotProductsWhereAGpuHasThem) {
+  for (const ConvCase& row : edge_conv_cases())
+    EXPECT_EQ(selected(row.graph(), "dot8-gpu"), "conv2d_s8_dot8") << row.name;
+}
+
+TEST(Select, TakesMatricesFromSixteenChannelsOnWhereAGpuHasThem) {
+  const auto kernel = [](const ConvCase& row) {
+    return selected(row.graph(), "coopmat-gpu", {"conv2d_s8_coopmat"});
+  };
+  for (ConvCase row : edge_conv_cases()) {
+    EXPECT_EQ(kernel(row), row.oc >= 16 ? "conv2d_s8_coopmat" : "generic") << row.name;
+    // Weights of full range leave int8 without their zero point.
+    row.oc = 16;
+    EXPECT_EQ(kernel(row), row.weight_zp == 0 ? "conv2d_s8_coopmat" : "generic") << row.name;
+  }
+  EXPECT_EQ(kernel({.name = "small_zp", .oc = 16, .weight_zp = 7, .weight_min = -121}),
+            "conv2d_s8_coopmat");
+}
+
+TEST(Select, PrefersMatricesWhereTheyAreFull) {
+  const auto kernel = [](int64_t ic, int64_t oc) {
+    return selected(ConvCase{.name = "", .h = 64, .w = 64, .ic = ic, .oc = oc}.graph(),
+                    "coopmat-gpu");
+  };
+  EXPECT_EQ(kernel(32, 16), "conv2d_s8_coopmat");
+  EXPECT_EQ(kernel(12, 32), "conv2d_s8_coopmat");
+  EXPECT_EQ(kernel(32, 15), "conv2d_s8_dot8");
+  EXPECT_EQ(kernel(4, 17), "conv2d_s8_dot8");  // 36 bytes in chunks of 32, 17 channels of 32
+}
+
 TEST(Select, ObeysTheListOfAllowedFamilies) {
   const Graph graph = ConvCase{.name = "plain"}.graph();
   EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32"}), "conv2d_s8_i32");
@@ -126,9 +156,11 @@ TEST(Select, LeavesOtherPadsToTheGenericKernel) {
 }
 
 /// A 1x1 convolution of [n,h,w,1]; nothing of that size is allocated.
-std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc) {
-  return selected(graph_of(fmt::format(
-      R"(graph main {{
+std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc,
+                             std::string_view target = "lavapipe") {
+  return selected(
+      graph_of(fmt::format(
+          R"(graph main {{
   input %x : i8[{0},{1},{2},1]
   const %zp : i8[1] = [0]
   const %w : i8[{3},1,1,1] = [{4}1]
@@ -136,7 +168,8 @@ std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc) {
   %y = conv2d %x, %w, %b, %zp, %zp {{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32}} : i32[{0},{1},{2},{3}]
   return %y
 }})",
-      n, h, w, oc, replaced(std::string(static_cast<size_t>(oc - 1), '1'), "1", "1,"))));
+          n, h, w, oc, replaced(std::string(static_cast<size_t>(oc - 1), '1'), "1", "1,"))),
+      target);
 }
 
 TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {
@@ -148,6 +181,19 @@ TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {
   EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64 + 1, 16), "generic");
   EXPECT_EQ(kernel_for_shape(1, 8192, 16384, 1), "conv2d_s8_f32exact");  // 2^27 texels
   EXPECT_EQ(kernel_for_shape(1, 8192, 16385, 1), "generic");
+}
+
+TEST(Select, KeepsGridsOfDotProductsWithinTheirLimits) {
+  const auto kernel = [](int64_t n, int64_t h, int64_t w, int64_t oc) {
+    return kernel_for_shape(n, h, w, oc, "dot8-gpu");
+  };
+  // A workgroup has 8 rows of 8 tiles: four pixels by 8 channels, or eight pixels by 4.
+  EXPECT_EQ(kernel(1, 65535 * 8, 4, 16), "conv2d_s8_dot8");
+  EXPECT_EQ(kernel(1, 65535 * 8 + 1, 4, 16), "generic");
+  EXPECT_EQ(kernel(1, 1, 65535 * 64, 4), "conv2d_s8_dot8");
+  EXPECT_EQ(kernel(1, 1, 65535 * 64 + 1, 4), "generic");
+  EXPECT_EQ(kernel(65535, 1, 1, 8), "conv2d_s8_dot8");
+  EXPECT_EQ(kernel(65535, 1, 1, 13), "generic");  // two blocks of channels an image
 }
 
 }  // namespace

@@ -192,9 +192,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.1 is newer than 1.1, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.2 is newer than 1.2, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.1 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.2 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -324,8 +324,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"w\": bytes 256 to 256 + 64 leave the weights of 300 bytes"},
     {"InputOffset", [](Package& p) { resource(p, 0).offset_bytes = 256; },
      "variant 0, resource \"x\": a tensor bound by the caller has offset 256"},
-    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(13); },
-     "variant 0, resource \"color\": image format 13 does not exist"},
+    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(14); },
+     "variant 0, resource \"color\": image format 14 does not exist"},
     {"ImageFormatOfTexels", [](Package& p) { resource(p, 4).format = ImageFormat::kR8Sint; },
      "variant 0, resource \"color\": an image cannot have the format r8_sint"},
     {"ImageWithoutExtent", [](Package& p) { resource(p, 4).height = 0; },
@@ -487,7 +487,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.1\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.2\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\", arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",

@@ -1,8 +1,10 @@
 #include "runtime/vk/device.h"
 
+#include <array>
 #include <cstdio>
 
 #include "ir/base/file.h"
+#include "runtime/vk/cooperative_matrix.h"
 #include "runtime/vk/pipeline_cache.h"
 #include "tests/support/vulkan_fixture.h"
 
@@ -26,6 +28,32 @@ TEST_F(Device, CapsAreFilled) {
   EXPECT_GE(caps.max_texel_buffers, 16u);
   EXPECT_GE(caps.max_storage_images, 4u);
   EXPECT_GE(caps.subgroup_size, 1u);
+}
+
+TEST(CooperativeMatrix, OneProductInSubgroupsOf32Counts) {
+  const vk::CooperativeMatrixProduct wanted{.m = 16,
+                                            .n = 16,
+                                            .k = 32,
+                                            .a = vk::kComponentSint8,
+                                            .b = vk::kComponentSint8,
+                                            .c = vk::kComponentSint32,
+                                            .result = vk::kComponentSint32,
+                                            .scope = vk::kScopeSubgroup};
+  vk::CooperativeMatrixProduct other = wanted;
+  other.k = 16;
+  EXPECT_TRUE(vk::has_int8_product(std::array{other, wanted}, 32));
+  EXPECT_FALSE(vk::has_int8_product(std::array{other, wanted}, 64));
+  EXPECT_FALSE(vk::has_int8_product(std::array{other}, 32));
+  EXPECT_FALSE(vk::has_int8_product({}, 32));
+  for (uint32_t vk::CooperativeMatrixProduct::*member :
+       {&vk::CooperativeMatrixProduct::m, &vk::CooperativeMatrixProduct::n,
+        &vk::CooperativeMatrixProduct::a, &vk::CooperativeMatrixProduct::b,
+        &vk::CooperativeMatrixProduct::c, &vk::CooperativeMatrixProduct::result,
+        &vk::CooperativeMatrixProduct::saturates, &vk::CooperativeMatrixProduct::scope}) {
+    vk::CooperativeMatrixProduct changed = wanted;
+    changed.*member += 1;
+    EXPECT_FALSE(vk::has_int8_product(std::array{changed}, 32));
+  }
 }
 
 TEST_F(Device, NoDeviceOfThatNameIsAnError) {

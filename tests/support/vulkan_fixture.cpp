@@ -26,7 +26,7 @@ void VulkanTest::SetUpTestSuite() {
     std::printf("%s\n", physical.error().text().c_str());
     return;
   }
-  vk::Device device = must(vk::Device::create(*physical));
+  vk::Device device = must(vk::Device::create(*physical, instance->get()));
   gpu_ = std::make_unique<Gpu>(*std::move(instance), std::move(device), validated);
 }
 

@@ -144,10 +144,13 @@ Result<std::map<std::string, std::string>> read_choices(const std::string& path)
 }
 
 void CompileArguments::add_to(CLI::App& app) {
+  std::string known;
+  for (const DeviceProfile& profile : known_profiles())
+    known += (known.empty() ? "" : ", ") + std::string(profile.name);
   app.add_option("--input-shape", input_shapes,
                  "shape of a graph input, NAME=N,H,W,C (again for each input)")
       ->allow_extra_args(false);
-  app.add_option("--target", targets, "device classes, a variant each: lavapipe, generic-gpu")
+  app.add_option("--target", targets, "device classes, a variant each: " + known)
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");

@@ -24,7 +24,7 @@ Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
   SHALE_TRY(vk::Instance instance, vk::Instance::create({.validation = arguments.validation}));
   tool.instance_ = std::make_unique<vk::Instance>(std::move(instance));
   SHALE_TRY(const VkPhysicalDevice physical, tool.instance_->find_device(arguments.name));
-  SHALE_TRY(vk::Device device, vk::Device::create(physical));
+  SHALE_TRY(vk::Device device, vk::Device::create(physical, tool.instance_->get()));
   tool.device_ = std::make_unique<vk::Device>(std::move(device));
   if (!arguments.cache.empty()) {
     SHALE_TRY(vk::PipelineCache cache, vk::PipelineCache::load(tool.context(), arguments.cache));

@@ -25,8 +25,13 @@ std::vector<std::string> lacking(const DeviceCaps& caps) {
 /// Families that packages for the profile choose from.
 Json kernels_of(const DeviceProfile& profile) {
   Json names = Json::array();
-  for (const KernelFamily& family : all_kernels())
-    if (!family.literals || profile.literal_weights) names.push_back(family.name);
+  for (const KernelFamily& family : all_kernels()) {
+    const bool is_for = family.literals                      ? profile.literal_weights
+                        : family.name == "conv2d_s8_coopmat" ? profile.matrix_gops > 0
+                        : family.name == "conv2d_s8_dot8"    ? profile.dot8_gops > 0
+                                                             : true;
+    if (is_for) names.push_back(family.name);
+  }
   return names;
 }
 
@@ -34,7 +39,12 @@ Json describe(const DeviceCaps& caps) {
   Json features = Json::object();
   for (uint32_t i = 0; i < kFeatureCount; ++i)
     features[feature_name(static_cast<Feature>(i))] = caps.features.has(static_cast<Feature>(i));
-  const std::string_view target = caps.cpu ? "lavapipe" : "generic-gpu";
+  const bool dots = caps.features.has(Feature::kDotProduct8);
+  const bool matrices = dots && caps.features.has(Feature::kCooperativeMatrix);
+  const std::string_view target = caps.cpu   ? "lavapipe"
+                                  : matrices ? "coopmat-gpu"
+                                  : dots     ? "dot8-gpu"
+                                             : "generic-gpu";
   return {{"name", caps.name},
           {"driver", caps.driver},
           {"vulkan", version(caps.api_version)},
@@ -77,7 +87,7 @@ Result<int> doctor(bool as_json) {
   } else {
     SHALE_TRY(const std::vector<VkPhysicalDevice> devices, instance->physical_devices());
     for (const VkPhysicalDevice device : devices) {
-      const DeviceCaps caps = vk::snapshot_caps(device);
+      const DeviceCaps caps = vk::snapshot_caps(device, instance->get());
       json["devices"].push_back(describe(caps));
       if (lacking(caps).empty()) exit = kDone;
     }

@@ -1,0 +1,48 @@
+// runtime/vk/cooperative_matrix.h -- VK_KHR_cooperative_matrix, which Vulkan headers 1.3.239 do not
+// have: the parts that are needed, under names of our own. Not run on hardware.
+#pragma once
+
+#include <vulkan/vulkan.h>
+
+#include <cstdint>
+#include <span>
+
+namespace shale::vk {
+
+inline constexpr const char* kCooperativeMatrixExtension = "VK_KHR_cooperative_matrix";
+
+/// VkPhysicalDeviceCooperativeMatrixFeaturesKHR.
+struct CooperativeMatrixFeatures {
+  VkStructureType type = static_cast<VkStructureType>(1000506000);
+  void* next = nullptr;
+  VkBool32 cooperative_matrix = VK_FALSE;
+  VkBool32 robust_buffer_access = VK_FALSE;
+};
+
+/// VkPhysicalDeviceCooperativeMatrixPropertiesKHR.
+struct CooperativeMatrixStages {
+  VkStructureType type = static_cast<VkStructureType>(1000506002);
+  void* next = nullptr;
+  VkShaderStageFlags stages = 0;
+};
+
+/// VkCooperativeMatrixPropertiesKHR: a kind of product that the device has.
+struct CooperativeMatrixProduct {
+  VkStructureType type = static_cast<VkStructureType>(1000506001);
+  void* next = nullptr;
+  uint32_t m = 0, n = 0, k = 0;
+  uint32_t a = 0, b = 0, c = 0, result = 0;  ///< VkComponentTypeKHR
+  VkBool32 saturates = VK_FALSE;
+  uint32_t scope = 0;  ///< VkScopeKHR
+};
+inline constexpr uint32_t kComponentSint8 = 3, kComponentSint32 = 5, kScopeSubgroup = 3;
+
+/// True if one of the products is that of Feature::kCooperativeMatrix, in subgroups of the size that
+/// kernels of conv2d_s8_coopmat have.
+bool has_int8_product(std::span<const CooperativeMatrixProduct> products, uint32_t subgroup_size);
+
+/// Asks the device; false wherever it does not know the extension. `instance` is the device's.
+bool supports_cooperative_matrices(VkInstance instance, VkPhysicalDevice device,
+                                   uint32_t subgroup_size);
+
+}  // namespace shale::vk
