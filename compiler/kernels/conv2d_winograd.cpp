@@ -12,7 +12,6 @@
 // The input transform works on pairs of bytes in 32-bit words: each is at most 1020 in magnitude, so
 // two fit a word with a bias that keeps the lower one from borrowing.
 #include <algorithm>
-#include <cmath>
 
 #include "compiler/kernels/literal_conv.h"
 
@@ -24,6 +23,8 @@ constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, 2}};
 constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, -1}};
 /// Differences of two pairs of bytes are above -512.
 constexpr int kBias = 512;
+/// Most output channels of a pass.
+constexpr int64_t kMostSums = 20;
 /// Most products in a module: bounds the driver's compile time.
 constexpr int64_t kProducts = 32768;
 
@@ -46,6 +47,9 @@ class Winograd {
                                   conv_.out()[0]);
   }
 
+  /// Each pass transforms the input anew, so there are few, and equal ones.
+  int64_t passes() const { return (conv_.weight_shape()[0] + kMostSums - 1) / kMostSums; }
+
   int64_t products() const { return 16 * conv_.weight_shape()[0] * conv_.weight_shape()[3]; }
 
   /// Products of the whole result, and the transforms in units of a product.
@@ -53,9 +57,9 @@ class Winograd {
     const Shape& out = conv_.out();
     const double in_channels = static_cast<double>(conv_.weight_shape()[3]),
                  channels = static_cast<double>(out[3]),
-                 passes = std::ceil(channels / static_cast<double>(kLiveSums)),
                  tiles = static_cast<double>(out[0] * ((out[1] + 1) / 2) * ((out[2] + 1) / 2));
-    return tiles * (static_cast<double>(products()) + 40 * in_channels * passes + 18 * channels);
+    return tiles * (static_cast<double>(products()) +
+                    40 * in_channels * static_cast<double>(passes()) + 18 * channels);
   }
 
   /// Every partial sum of every output channel stays below 2^24, and four times the result too.
@@ -96,8 +100,10 @@ class Winograd {
               "  {} {} = {};\n", conv_.texel_type(), texel(row, column, c),
               conv_.fetch(conv_.node().inputs[0], c, fmt::format("y + {}", row - pad[0]),
                           fmt::format("x + {}", column - pad[2]), conv_.input_zero_point()));
-    for (int64_t first = 0; first < out_channels; first += kLiveSums)
-      text += pass(first, std::min(out_channels, first + kLiveSums));
+    const int64_t live = (out_channels + passes() - 1) / passes();
+    const int64_t step = (live + 3) / 4 * 4;  // results make words
+    for (int64_t first = 0; first < out_channels; first += step)
+      text += pass(first, std::min(out_channels, first + step));
     return conv_.finish(text, (conv_.out()[2] + 1) / 2, (conv_.out()[1] + 1) / 2);
   }
 

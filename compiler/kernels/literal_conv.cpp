@@ -106,10 +106,14 @@ std::string LiteralConv::fetch(ValueId id, int64_t c, const std::string& y, cons
   if (functions_.emplace(name).second) {
     const Shape& shape = graph_.value(id).type.shape;
     const std::string body = inside(id, c);
-    codegen_.add_function(fmt::format(
-        "{0} {1}(int n, int y, int x, uint outside) {{\n"
-        "  if (uint(y) < {2}u && uint(x) < {3}u) return {4};\n  return {0}(outside);\n}}\n\n",
-        texel_type(), name, shape[1], shape[2], body));
+    // Without a branch, both sides of which a CPU driver runs anyway: equal fetches of several passes
+    // are then found to be one.
+    codegen_.add_function(
+        fmt::format("{0} {1}(int n, int y, int x, uint outside) {{\n"
+                    "  bool inside = uint(y) < {2}u && uint(x) < {3}u;\n"
+                    "  y = inside ? y : 0;\n  x = inside ? x : 0;\n"
+                    "  {0} texel = {4};\n  return inside ? texel : {0}(outside);\n}}\n\n",
+                    texel_type(), name, shape[1], shape[2], body));
   }
   const uint32_t u = static_cast<uint32_t>(outside + 128) & 255u;
   return fmt::format("{}(n, {}, {}, {}u)", name, y, x, lanes_ == 1 ? u : u * 0x01010101u);

@@ -11,9 +11,9 @@ constexpr KernelFamily kKernels[] = {
 #include "compiler/kernels/kernels.def"
 };
 
-/// Compiling for the driver is spread over so many frames: five seconds of them. A layer that gains
-/// less than that is not worth more code.
-constexpr double kFramesPerStart = 300;
+/// The driver's compile time is spread over so many frames. A layer that gains less in them is not
+/// worth more code.
+constexpr double kFramesPerStart = 1000;
 
 double weighed_us(const KernelFamily& family, const GroupProblem& problem,
                   const DeviceProfile& profile) {

@@ -79,6 +79,7 @@ bool takes(const std::string& kernel, const ConvCase& row) {
   const bool is_plain =
       row.stride_y == 1 && row.stride_x == 1 && row.dilation_y == 1 && row.dilation_x == 1;
   if (kernel == "generic" || kernel == "conv2d_s8_i32") return true;
+  if (kernel == "conv2d_s8_dot8") return true;
   if (row.name == "beyond_float") return false;
   if (kernel == "conv2d_s8_phase") return row.source == Source::kUpsample && is_plain;
   if (kernel == "conv2d_s8_winograd")
