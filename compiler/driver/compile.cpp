@@ -7,13 +7,13 @@
 #include <set>
 
 #include "compiler/cost/cost.h"
-#include "compiler/driver/parallel.h"
 #include "compiler/frontend/frontend.h"
 #include "compiler/memory/planner.h"
 #include "compiler/spirv/check.h"
 #include "compiler/spirv/forward.h"
 #include "compiler/spirv/glsl.h"
 #include "ir/base/hash.h"
+#include "ir/base/parallel.h"
 
 namespace shale {
 namespace {

@@ -3,10 +3,9 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <atomic>
 #include <map>
-#include <thread>
 
+#include "ir/base/parallel.h"
 #include "runtime/vk/commands.h"
 
 namespace shale {
@@ -81,19 +80,6 @@ Result<vk::PipelineHandle> create_pipeline(VkDevice device, const Spirv& words,
   SHALE_TRY_VOID(vk::check(vkCreateComputePipelines(device, cache, 1, &info, nullptr, &pipeline),
                            "vkCreateComputePipelines"));
   return vk::PipelineHandle(device, pipeline);
-}
-
-/// Calls work(0) ... work(count - 1), on all cores.
-void run_on_all_cores(size_t count, const std::function<void(size_t)>& work) {
-  std::atomic<size_t> next = 0;
-  const auto loop = [&] {
-    for (size_t i = next++; i < count; i = next++) work(i);
-  };
-  const size_t helpers =
-      std::min<size_t>(count, std::max(1u, std::thread::hardware_concurrency())) - (count ? 1 : 0);
-  std::vector<std::jthread> threads;
-  for (size_t i = 0; i < helpers; ++i) threads.emplace_back(loop);
-  loop();
 }
 
 }  // namespace
@@ -172,7 +158,7 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
 
   pipelines_.resize(wanted.size());
   std::vector<Result<void>> outcomes(wanted.size());
-  run_on_all_cores(wanted.size(), [&](size_t i) {
+  parallel_for(wanted.size(), [&](size_t i) {
     auto pipeline = create_pipeline(context_.device, variant.modules[wanted[i].module],
                                     layouts_[wanted[i].layout].get(), cache);
     if (pipeline) {

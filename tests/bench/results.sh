@@ -16,10 +16,10 @@ trap 'rm -f "$part"' EXIT
   echo "Written by \`tests/bench/results.sh\` on $(date -u +%Y-%m-%d), $(nproc) cores, $(sed -n 's/^PRETTY_NAME="\(.*\)"/\1/p' /etc/os-release)."
   echo "Times are medians of device timestamps after a warm-up; GOP/s counts 2 per multiply-accumulate of the direct form,"
   echo "requantization included; the naive kernel is the generic one, one invocation per output element. The roof is"
-  echo "float32 multiply and add in registers, the best of several shapes of code, in the same run."
+  echo "float32 multiply and add in registers, the best of several shapes of code, measured just before and after each."
   echo
   echo "## Layer classes"
-  "$build/tests/bench/kernel_bench" 2>/dev/null | sed -n '/float32 mul+add roof/,$p' | sed '1i\\'
+  "$build/tests/bench/kernel_bench" 2>/dev/null | sed -n '/^| convolution/,$p'
   echo
   "$build/tools/shale" bench models/nss_v1_high --render 960x540 --start --naive --markdown
   echo

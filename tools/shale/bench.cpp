@@ -79,8 +79,7 @@ Json start_json(const StartTimes& times) {
   return {{"create_ms", times.create_ms}, {"first_run_ms", times.first_ms}};
 }
 
-Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const std::string& path,
-                   double roof) {
+Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const std::string& path) {
   SHALE_TRY(ModelFiles model, load_model(path, arguments.compile.frame));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   const auto begin = std::chrono::steady_clock::now();
@@ -104,8 +103,12 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
     json["second_start"] = start_json(second);
   }
   std::vector<DispatchTime> times, naive_times;
+  SHALE_TRY(const double before, measure_mul_add_roof(device, arguments.repeat));
   SHALE_TRY(const std::vector<Tensor> outputs,
             run_network(device, package, inputs, arguments.repeat, &times));
+  SHALE_TRY(const double after, measure_mul_add_roof(device, arguments.repeat));
+  const double roof = (before + after) / 2;
+  json["roof_gop_per_s"] = roof;
   if (arguments.naive) {
     CompileOptions naive = options;
     naive.kernels = {"generic"};
@@ -182,7 +185,9 @@ void print_model(const Json& json, bool markdown) {
     print_row(markdown, row["name"].get<std::string>(), row["kernel"].get<std::string>(), row);
   print_row(markdown, "total", fmt::format("{} dispatches", json["dispatches"].size()),
             json["total"]);
-  fmt::print("\ncompiled in {:.0f} ms to {:.1f} MB; arena {} bytes, {:.1f} % above the bound\n",
+  fmt::print("\nroof before and after, float32 mul+add: {:.1f} GOP/s\n",
+             json["roof_gop_per_s"].get<double>());
+  fmt::print("compiled in {:.0f} ms to {:.1f} MB; arena {} bytes, {:.1f} % above the bound\n",
              json["compile_ms"].get<double>(), 1e-6 * json["package_bytes"].get<double>(),
              json["arena_bytes"].get<uint64_t>(),
              100 * (json["arena_bytes"].get<double>() /
@@ -204,7 +209,7 @@ Result<int> run(const Arguments& arguments) {
     json["roofs"].push_back({{"name", roof.name}, {"rate", roof.rate}, {"unit", roof.unit}});
   json["models"] = Json::array();
   for (const std::string& model : arguments.models) {
-    SHALE_TRY(Json one, bench(arguments, device, model, mul_add_roof(roofs)));
+    SHALE_TRY(Json one, bench(arguments, device, model));
     json["models"].push_back(std::move(one));
     if (interrupted()) return bad_input("", "interrupted");
   }

@@ -9,7 +9,6 @@ namespace shale {
 namespace {
 
 constexpr uint32_t kLocal = 64;
-constexpr const char* kMulAdd = "f32 mul+add";
 
 /// A kernel that reads `x` and writes `y`, and what it does once for each invocation.
 struct Probe {
@@ -100,6 +99,14 @@ Result<double> best_rate(const ToolDevice& device, const std::vector<Probe>& pro
 
 }  // namespace
 
+Result<double> measure_mul_add_roof(const ToolDevice& device, uint32_t repeat) {
+  return best_rate(device,
+                   {arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 12, 4, 2),
+                    arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 16, 16, 2),
+                    arithmetic("float", "a{0} = a{0} * v + {1}.0", "v *= 0.5", 16, 4, 2)},
+                   repeat);
+}
+
 Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat) {
   std::vector<Roof> roofs;
   const auto add = [&](const char* name, const char* unit,
@@ -108,10 +115,8 @@ Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repea
     roofs.push_back({name, rate, unit});
     return {};
   };
-  SHALE_TRY_VOID(add(kMulAdd, "GOP/s",
-                     {arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 12, 4, 2),
-                      arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 16, 16, 2),
-                      arithmetic("float", "a{0} = a{0} * v + {1}.0", "v *= 0.5", 16, 4, 2)}));
+  SHALE_TRY(const double mul_add, measure_mul_add_roof(device, repeat));
+  roofs.push_back({"f32 mul+add", mul_add, "GOP/s"});
   SHALE_TRY_VOID(add("f32 fma", "GOP/s",
                      {arithmetic("float", "a{0} = fma(v, {1}.0, a{0})", "v += 1.0", 12, 4, 2),
                       arithmetic("float", "a{0} = fma(v, {1}.0, a{0})", "v += 1.0", 16, 16, 2)}));
@@ -140,12 +145,6 @@ Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repea
   read.body += "  int r = s.x + s.y + s.z + s.w;\n";
   SHALE_TRY_VOID(add("storage buffer read", "GB/s", {read}));
   return roofs;
-}
-
-double mul_add_roof(const std::vector<Roof>& roofs) {
-  for (const Roof& roof : roofs)
-    if (roof.name == kMulAdd) return roof.rate;
-  return 0;
 }
 
 }  // namespace shale

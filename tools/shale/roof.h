@@ -22,7 +22,9 @@ struct Roof {
 /// Errors: kDevice.
 Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat);
 
-/// The rate that shares of a roof refer to: float32 multiply and add.
-double mul_add_roof(const std::vector<Roof>& roofs);
+/// The rate that shares of a roof refer to, float32 multiply and add, alone: to be measured just before
+/// and after a kernel, since a processor's speed changes with what it did in the last minute.
+/// Errors: kDevice.
+Result<double> measure_mul_add_roof(const ToolDevice& device, uint32_t repeat);
 
 }  // namespace shale

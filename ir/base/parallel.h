@@ -1,4 +1,4 @@
-// compiler/driver/parallel.h -- independent work on all cores.
+// ir/base/parallel.h -- independent work on all cores.
 #pragma once
 
 #include <algorithm>
