@@ -104,16 +104,17 @@ TEST(Driver, RefusesWhatItDoesNotKnow) {
 TEST(Driver, StopsWhenAsked) {
   CompileOptions options = fast_options();
   options.pass_options.optimize = false;
-  size_t calls = 0;
+  // Work runs on several threads; it is reported as it gets done, and the end always.
+  size_t last = 0;
   options.progress = [&](size_t done, size_t total) {
-    ++calls;
-    EXPECT_EQ(done, calls);
+    EXPECT_GE(done, last);
+    last = done;
     EXPECT_EQ(total, 2u);
     return true;
   };
   ASSERT_TRUE(compile_text(kSmall, options));
-  EXPECT_EQ(calls, 2u);
-  calls = 0;
+  EXPECT_EQ(last, 2u);
+  size_t calls = 0;
   options.progress = [&](size_t, size_t) { return ++calls < 1; };
   EXPECT_EQ(error_text(compile_text(kSmall, options)), "interrupted");
   EXPECT_EQ(calls, 1u);
