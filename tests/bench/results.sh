@@ -19,6 +19,7 @@ trap 'rm -f "$part"' EXIT
   echo "float32 multiply and add in registers, the best of several shapes of code, measured just before and after each."
   echo
   echo "## Layer classes"
+  echo
   "$build/tests/bench/kernel_bench" 2>/dev/null | sed -n '/^| convolution/,$p'
   echo
   "$build/tools/shale" bench models/nss_v1_high --render 960x540 --start --naive --markdown
@@ -31,9 +32,9 @@ trap 'rm -f "$part"' EXIT
     "$build/tools/shale" bench models/nss_v1_high --render $size --json |
       python3 -c "import json,sys; t=json.load(sys.stdin)['models'][0]['total']; print('| $size | %.1f | %.1f |' % (t['time_ms'], t['gop_per_s']))"
   done
-  "$build/tools/shale" bench models/nss_v1_low --render 960x540 --start --markdown | sed -n '/^### /,$p'
-  "$build/tools/shale" bench models/nss_v0_1 --render 960x540 --start --markdown | sed -n '/^### /,$p'
-  "$build/tools/shale" bench models/srpo_x2 --input-shape input=1,540,960,3 --start --markdown | sed -n '/^### /,$p'
+  "$build/tools/shale" bench models/nss_v1_low --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
+  "$build/tools/shale" bench models/nss_v0_1 --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
+  "$build/tools/shale" bench models/srpo_x2 --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
 } > "$part"
 mv "$part" "$out"
 trap - EXIT

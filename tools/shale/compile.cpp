@@ -65,7 +65,7 @@ Action add_compile(CLI::App& app) {
   arguments->compile.add_to(app);
   app.add_flag("--timings", arguments->timings, "print the time of each pass");
   app.add_flag("--json", arguments->json, "print the summary as JSON");
-  app.footer("Example: shale compile models/srpo_x2 --input-shape input=1,540,960,3 -o srpo.shale");
+  app.footer("Example: shale compile models/srpo_x2 --render 960x540 -o srpo.shale");
   return [arguments] { return compile_to_file(*arguments); };
 }
 

@@ -21,7 +21,7 @@ int main_with(int argc, char** argv) {
   app.set_version_flag("--version", kVersionText);
   app.require_subcommand(1);
   app.footer(
-      "Example: shale compile models/srpo_x2 --input-shape input=1,540,960,3 -o srpo.shale\n"
+      "Example: shale compile models/srpo_x2 --render 960x540 -o srpo.shale\n"
       "Exit codes: 0 done, 1 refused input or failed check, 2 usage, 3 no usable device");
   std::vector<Action> actions;
   for (const Command& command : kCommands)

@@ -543,7 +543,7 @@ Action add_report(CLI::App& app) {
          "mac: multiply-accumulates; counter_a: also the operations that SRPO's table 1 counts")
       ->check(CLI::IsMember({"mac", "counter_a"}));
   app.add_flag("--json", arguments->json, "print the report as JSON");
-  app.footer("Example: shale report models/srpo_x2 --input-shape input=1,540,960,3");
+  app.footer("Example: shale report models/srpo_x2 --render 960x540");
   return [arguments] { return report(*arguments); };
 }
 

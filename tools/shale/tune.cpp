@@ -126,8 +126,8 @@ Action add_tune(CLI::App& app) {
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
-      "Example: shale tune models/srpo_x2 --input-shape input=1,540,960,3 -o srpo.choices.json\n"
-      "         shale compile models/srpo_x2 --input-shape input=1,540,960,3 --choices "
+      "Example: shale tune models/srpo_x2 --render 960x540 -o srpo.choices.json\n"
+      "         shale compile models/srpo_x2 --render 960x540 --choices "
       "srpo.choices.json -o srpo.shale");
   return [arguments] { return run(*arguments); };
 }
