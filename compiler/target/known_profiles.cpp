@@ -12,7 +12,7 @@ FeatureSet features(std::initializer_list<Feature> list) {
   return set;
 }
 
-/// A class of GPUs that has more than generic-gpu. Rates are assumed, for ranking kernels only.
+/// A class of GPUs: what any has, and `more`. Rates are assumed, for ranking kernels only.
 DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet more,
                        double dot8_gops, double matrix_gops) {
   DeviceProfile profile{
@@ -78,35 +78,8 @@ const std::vector<DeviceProfile>& profiles() {
        .launch_us = 30,
        .literal_weights = true,
        .source = "measured with tests/bench on 2 cores, Mesa 22.3.6"},
-      {.name = "generic-gpu",
-       .help = "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers",
-       .caps = {.name = "GPU",
-                .driver = "",
-                .api_version = (1u << 22) | (3u << 12),
-                .cpu = false,
-                .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16,
-                                      Feature::kInt8, Feature::kInt16, Feature::kInt64}),
-                .max_workgroup_invocations = 128,
-                .max_workgroup_size = {128, 128, 64},
-                .max_workgroup_count = {65535, 65535, 65535},
-                .max_shared_bytes = 16384,
-                .max_storage_range_bytes = uint64_t{1} << 27,
-                .max_texel_elements = uint64_t{1} << 16,
-                .max_storage_buffers = 16,
-                .max_texel_buffers = 16,
-                .max_storage_images = 8,
-                .subgroup_size = 32},
-       .mul_add_gops = 2000,
-       .literal_share = 0,
-       .winograd_share = 0,
-       .integer_share = 0,
-       .driver_us_per_product = 0,
-       .generic_gops = 100,
-       .element_ns = 0.05,
-       .bandwidth_gbps = 50,
-       .launch_us = 5,
-       .literal_weights = false,
-       .source = "assumed: order of magnitude of a phone GPU, for ranking kernels only"},
+      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers", {}, 0,
+               0),
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",
                features({Feature::kDotProduct8}), 1000, 0),
       gpu_with(
