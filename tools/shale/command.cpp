@@ -143,6 +143,41 @@ Result<std::map<std::string, std::string>> read_choices(const std::string& path)
   return choices;
 }
 
+Json constants_json(const std::string& target, const MeasuredConstants& constants) {
+  Json json{{"schema", kConstantsSchema}, {"target", target}, {"roof_gops", constants.roof_gops}};
+  for (size_t i = 0; i < kWorkCount; ++i)
+    json["ns"][work_info(static_cast<Work>(i)).name] = constants.ns.at(i);
+  return json;
+}
+
+Result<std::map<std::string, MeasuredConstants>> read_constants(const std::string& path) {
+  SHALE_TRY(const std::string text, read_text(path));
+  const Json json = Json::parse(text, nullptr, false);
+  const auto number = [](const Json& object, std::string_view key) -> std::optional<double> {
+    const auto found = object.find(key);
+    if (found == object.end() || !found->is_number()) return std::nullopt;
+    const double value = found->get<double>();
+    return value >= 0 && std::isfinite(value) ? std::optional(value) : std::nullopt;
+  };
+  if (!json.is_object() || json.value("schema", Json()) != kConstantsSchema ||
+      !json.contains("target") || !json["target"].is_string() || !json.contains("ns") ||
+      !json["ns"].is_object())
+    return bad_input(path, "is no file of shale fit, expected schema {}", kConstantsSchema);
+  const std::string target = json["target"].get<std::string>();
+  if (!find_profile(target)) return bad_input(path, "target: \"{}\" is unknown", target);
+  MeasuredConstants constants;
+  const std::optional<double> roof = number(json, "roof_gops");
+  if (!roof) return bad_input(path, "roof_gops: expected a number of at least 0");
+  constants.roof_gops = *roof;
+  for (size_t i = 0; i < kWorkCount; ++i) {
+    const std::string_view name = work_info(static_cast<Work>(i)).name;
+    const std::optional<double> ns = number(json["ns"], name);
+    if (!ns) return bad_input(path, "ns.{}: expected a number of at least 0", name);
+    constants.ns.at(i) = *ns;
+  }
+  return std::map<std::string, MeasuredConstants>{{target, constants}};
+}
+
 void CompileArguments::add_to(CLI::App& app) {
   std::string known;
   for (const DeviceProfile& profile : known_profiles())
@@ -154,6 +189,7 @@ void CompileArguments::add_to(CLI::App& app) {
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");
+  app.add_option("--constants", constants, "file of shale fit: constants of the cost model");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -181,6 +217,9 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
     if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   if (!choices.empty()) {
     SHALE_TRY(options.choices, read_choices(choices));
+  }
+  if (!constants.empty()) {
+    SHALE_TRY(options.constants, read_constants(constants));
   }
   for (const std::string& text : input_shapes) {
     SHALE_TRY(auto shape, parse_input_shape(text));

@@ -73,7 +73,7 @@ struct CompileArguments {
   std::vector<std::string> input_shapes;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
-  std::string frame, render, output, choices;
+  std::string frame, render, output, choices, constants;
   double ratio = 0;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
@@ -88,6 +88,12 @@ inline constexpr const char* kChoicesSchema = "shale-choices/1";
 /// Kernel family by layer, from a file of `shale tune`.
 /// Errors: kIo, kBadInput naming the file and the field.
 Result<std::map<std::string, std::string>> read_choices(const std::string& path);
+
+/// Constants of the cost model by target, as `shale fit` writes them.
+inline constexpr const char* kConstantsSchema = "shale-constants/1";
+Json constants_json(const std::string& target, const MeasuredConstants& constants);
+/// Errors: kIo, kBadInput naming the file and the field.
+Result<std::map<std::string, MeasuredConstants>> read_constants(const std::string& path);
 
 /// "960x540" to a size.
 /// Errors: kBadInput naming the option.
