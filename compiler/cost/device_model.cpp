@@ -29,13 +29,14 @@ Precision precision_of(const Graph& graph, const Group& group) {
 }
 
 /// Windows of the head along rows and columns; single positions for what has none.
-std::pair<Window, Window> windows(const Graph& graph, const Node& node) {
+std::pair<TapWindow, TapWindow> windows(const Graph& graph, const Node& node) {
   const auto list = [&](Attr attr, size_t i) {
     return node.attrs.has(attr) ? node.attrs.list(attr)[i] : int64_t{1};
   };
   const auto both = [&](int64_t rows, int64_t columns) {
-    return std::pair<Window, Window>{{rows, list(Attr::kStride, 0), list(Attr::kDilation, 0)},
-                                     {columns, list(Attr::kStride, 1), list(Attr::kDilation, 1)}};
+    return std::pair<TapWindow, TapWindow>{
+        {rows, list(Attr::kStride, 0), list(Attr::kDilation, 0)},
+        {columns, list(Attr::kStride, 1), list(Attr::kDilation, 1)}};
   };
   if (node.op == Op::kConv2d || node.op == Op::kDepthwiseConv2d) {
     const Shape& taps = graph.value(node.inputs[1]).type.shape;

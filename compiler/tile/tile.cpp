@@ -6,7 +6,7 @@ namespace shale {
 namespace {
 
 /// Input positions that tiles of `size` read to make `outputs` positions along an axis.
-int64_t tiled_input(int64_t outputs, int64_t size, const Window& window) {
+int64_t tiled_input(int64_t outputs, int64_t size, const TapWindow& window) {
   const int64_t whole = outputs / size, rest = outputs % size;
   return whole * window_input(size, window) + (rest > 0 ? window_input(rest, window) : 0);
 }

@@ -6,19 +6,19 @@
 namespace shale {
 
 /// How output positions map to input positions along one axis.
-struct Window {
+struct TapWindow {
   int64_t taps = 1, stride = 1, dilation = 1;
 };
 
 /// Input positions that `outputs` neighbouring output positions read, border included.
-constexpr int64_t window_input(int64_t outputs, const Window& window) {
+constexpr int64_t window_input(int64_t outputs, const TapWindow& window) {
   return (outputs - 1) * window.stride + (window.taps - 1) * window.dilation + 1;
 }
 
 /// A picture made in tiles that stay on chip.
 struct TiledPicture {
   int64_t height = 0, width = 0;  ///< output positions
-  Window rows, columns;
+  TapWindow rows, columns;
   double input_bytes = 0;   ///< an input position, all channels
   double output_bytes = 0;  ///< an output position
   double fixed_bytes = 0;   ///< what every tile needs: the weights

@@ -6,7 +6,7 @@ namespace shale {
 namespace {
 
 /// Positions that any of `outputs` outputs reads along an axis, by enumeration.
-int64_t span(int64_t outputs, const Window& window) {
+int64_t span(int64_t outputs, const TapWindow& window) {
   int64_t last = 0;
   for (int64_t out = 0; out < outputs; ++out)
     for (int64_t tap = 0; tap < window.taps; ++tap)
@@ -19,7 +19,7 @@ TEST(Tile, WindowInputSpansWhatTheTapsReach) {
     for (int64_t stride = 1; stride <= 3; ++stride)
       for (int64_t dilation = 1; dilation <= 3; ++dilation)
         for (int64_t outputs = 1; outputs <= 9; ++outputs) {
-          const Window window{taps, stride, dilation};
+          const TapWindow window{taps, stride, dilation};
           EXPECT_EQ(window_input(outputs, window), span(outputs, window))
               << taps << " " << stride << " " << dilation << " " << outputs;
         }

@@ -61,8 +61,8 @@ class Cli : public testing::Test {
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
-  for (const char* command : {"compile", "run", "play", "report", "dump", "verify", "conform",
-                              "doctor", "diff", "scene", "eval", "bench", "tune"}) {
+  for (const char* command : {"compile", "run", "play", "report", "fit", "trade", "dump", "verify",
+                              "conform", "doctor", "diff", "scene", "eval", "bench", "tune"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -337,6 +337,47 @@ TEST_F(Cli, FitWritesConstantsThatBenchTakes) {
     EXPECT_EQ(refused.exit, 1) << text;
     EXPECT_NE(refused.text.find(message), std::string::npos) << refused.text;
   }
+}
+
+TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
+  const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
+  const std::string command =
+      "trade " + scene + " -o " + file("trade") + " -m " + kModels + "/srpo_x2," + kModels +
+      "/baselines/bilinear," + kModels +
+      "/baselines/nearest --output-size 96x64 --model-at 1920x1080 --frames 2";
+  const Outcome first = shale(command + " --json");
+  ASSERT_EQ(first.exit, 0) << first.text;
+  const nlohmann::json json = nlohmann::json::parse(first.text);
+  const nlohmann::json& rows = json["scenes"][0]["methods"];
+  ASSERT_EQ(rows.size(), 3u);
+  for (const auto& row : rows) {
+    EXPECT_GT(row["psnr_db"], 5) << row;
+    EXPECT_GT(row["modelled"]["total_ms"], 0) << row;
+    EXPECT_EQ(row["baseline"], row["precision"] == "") << row;
+    EXPECT_EQ(row["modelled"]["gop"] == 0.0, row["baseline"]) << row;
+  }
+  // The choice agrees with the rows.
+  const nlohmann::json& choice = json["scenes"][0]["choice"];
+  double best = 0;
+  for (const auto& row : rows)
+    if (row["modelled"]["total_ms"] <= 4) best = std::max(best, row["psnr_db"].get<double>());
+  EXPECT_DOUBLE_EQ(choice["best_psnr_db"], best);
+  EXPECT_GE(choice["enough_psnr_db"].get<double>(), best - 0.25);
+  EXPECT_LE(choice["enough_ms"], choice["best_ms"]);
+  EXPECT_EQ(nlohmann::json::parse(read(file("trade/trade.json"))), json);
+  EXPECT_EQ(
+      nlohmann::json::parse(between(read(file("trade/trade.html")), "id=\"data\">", "</script>")),
+      json);
+  // Again: nothing is measured, so that the measured times are those of before.
+  EXPECT_EQ(nlohmann::json::parse(shale(command + " --json").text), json);
+  // A cell that was cut short is measured again.
+  for (const auto& cell : fs::directory_iterator(file("trade/cells"))) write(cell.path(), "{");
+  const nlohmann::json again = nlohmann::json::parse(shale(command + " --json").text);
+  EXPECT_EQ(again["scenes"][0]["methods"][0]["psnr_db"], rows[0]["psnr_db"]);
+  for (const char* wrong :
+       {" --precisions int9", " --scales 0.5", " --output-size 96", " --scales 7"})
+    EXPECT_NE(shale(command + wrong).exit, 0) << wrong;
+  EXPECT_NE(shale("trade " + scene + " -o " + file("t") + " -m " + kModels + "/scenes").exit, 0);
 }
 
 TEST_F(Cli, BenchComparesWithTheRoofAndTheNaiveKernel) {

@@ -84,7 +84,8 @@ Json start_json(const StartTimes& times) {
 }
 
 Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const std::string& path) {
-  SHALE_TRY(ModelFiles model, load_model(path, arguments.compile.frame));
+  SHALE_TRY(ModelFiles model,
+            load_model(path, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   const auto begin = std::chrono::steady_clock::now();
   SHALE_TRY(const Compiled compiled, compile_model(model, options));

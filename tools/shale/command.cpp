@@ -67,11 +67,13 @@ std::string json_text(const Json& json) {
 
 void print_json(const Json& json) { fmt::print("{}", json_text(json)); }
 
-Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path) {
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
+                              const std::string& precision) {
   ModelFiles model;
   std::error_code ignored;
   const bool is_folder = fs::is_directory(path, ignored);
-  model.path = is_folder ? (fs::path(path) / "model.tosa").string() : path;
+  const std::string file = precision == "int8" ? "model.tosa" : "model." + precision + ".tosa";
+  model.path = is_folder ? (fs::path(path) / file).string() : path;
   const std::string stem =
       is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
                 : fs::path(path).stem().string();
@@ -92,6 +94,8 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
     model.path = frame;
     return model;
   }
+  if (is_folder && precision != "int8" && !fs::exists(model.path, ignored))
+    return bad_input(path, "has no {}: the model is not there in {}", file, precision);
   SHALE_TRY(model.bytes, read_file(model.path));
   return model;
 }
@@ -193,6 +197,9 @@ void CompileArguments::add_to(CLI::App& app) {
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
+  app.add_option("--precision", precision, "of a model folder: int8, int16, fp16 or fp32")
+      ->check(
+          CLI::IsMember(std::vector<std::string>(std::begin(kPrecisions), std::end(kPrecisions))));
   app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
   app.add_option("--render", render, "size of the rendered frames of a sandwich, WIDTHxHEIGHT");
   auto* size = app.add_option("--output-size", output, "size of its results, WIDTHxHEIGHT");

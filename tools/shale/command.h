@@ -62,18 +62,23 @@ struct ModelFiles {
   std::string frame_folder;  ///< shader paths are relative to it
 };
 
+/// The precisions that a model folder may hold: model.tosa is INT8, the others are model.fp32.tosa
+/// and so on.
+inline constexpr const char* kPrecisions[] = {"int8", "int16", "fp16", "fp32"};
+
 /// `path` is a model file, or a folder with model.tosa and (optionally) frame.json; a sandwich
 /// without a network has no model.tosa. `frame_path` names a frame.json for a model file; empty is
-/// none.
+/// none. `precision` (of kPrecisions) chooses the file of a folder.
 /// Errors: kIo, kBadInput; the file is named.
-Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path);
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
+                              const std::string& precision = "int8");
 
 /// Options that everything which compiles shares.
 struct CompileArguments {
   std::vector<std::string> input_shapes;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
-  std::string frame, render, output, choices, constants;
+  std::string frame, render, output, choices, constants, precision = "int8";
   double ratio = 0;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;

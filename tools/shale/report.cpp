@@ -169,6 +169,9 @@ Action add_report(CLI::App& app) {
   app.add_option("--input-shape", compile.input_shapes,
                  "shape of a model's input, NAME=N,H,W,C (again for each input)")
       ->allow_extra_args(false);  // what follows is a file
+  app.add_option("--precision", compile.precision, "of a model folder: int8, int16, fp16 or fp32")
+      ->check(
+          CLI::IsMember(std::vector<std::string>(std::begin(kPrecisions), std::end(kPrecisions))));
   app.add_option("--frame", compile.frame,
                  "frame.json of the sandwich, for a model given as a file");
   app.add_option("--render", compile.render, "size of the rendered frames, WIDTHxHEIGHT");

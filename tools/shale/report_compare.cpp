@@ -15,7 +15,7 @@ struct Difference {
 
 template <typename Value>
 std::optional<Difference> differ(const std::string& where, const char* what, const Value& before,
-                             const Value& after) {
+                                 const Value& after) {
   if (before == after) return std::nullopt;
   return Difference{where, what, fmt::format("{}", before), fmt::format("{}", after)};
 }
@@ -36,7 +36,7 @@ std::optional<Difference> first_change(const Variant& before, const Variant& aft
         return change;
       if (before.modules[x.module] != after.modules[y.module])
         return Difference{where, "code", fmt::format("{} words", before.modules[x.module].size()),
-                      fmt::format("{} words", after.modules[y.module].size())};
+                          fmt::format("{} words", after.modules[y.module].size())};
       if (auto change = differ(where, "predicted time, us", x.cost.time_us, y.cost.time_us))
         return change;
     }
@@ -57,7 +57,7 @@ std::optional<Difference> first_change(const Package& before, const Package& aft
     return change;
   if (before.weights != after.weights)
     return Difference{"package", "weights", fmt::format("{} bytes", before.weights.size()),
-                  fmt::format("{} bytes", after.weights.size())};
+                      fmt::format("{} bytes", after.weights.size())};
   return Difference{"package", "provenance", before.provenance.options, after.provenance.options};
 }
 
@@ -103,8 +103,8 @@ Result<Json> compare_files(const std::string& before, const std::string& after,
   } else {
     std::string text[2];
     for (size_t i = 0; i < 2; ++i) {
-      SHALE_TRY(const ModelFiles model,
-                load_model(i == 0 ? before : after, arguments.compile.frame));
+      SHALE_TRY(const ModelFiles model, load_model(i == 0 ? before : after, arguments.compile.frame,
+                                                   arguments.compile.precision));
       if (model.bytes.empty()) continue;
       SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
       SHALE_TRY(const Graph graph, shaped_graph(model.bytes, options));

@@ -351,7 +351,8 @@ void print_graph(const Json& json, const ReportArguments& arguments) {
 }
 
 Result<Json> report_model(const std::string& path, const ReportArguments& arguments) {
-  SHALE_TRY(const ModelFiles model, load_model(path, arguments.compile.frame));
+  SHALE_TRY(const ModelFiles model,
+            load_model(path, arguments.compile.frame, arguments.compile.precision));
   const auto named = [&](const Error& error) { return in_file(model.path, error); };
   if (model.bytes.empty()) {
     if (!arguments.json) fmt::print("{}\n  no network: passes alone\n", path);
