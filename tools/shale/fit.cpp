@@ -113,10 +113,10 @@ Action add_fit(CLI::App& app) {
   app.add_option("--target", arguments->target, "device class whose constants they replace");
   app.add_flag("--json", arguments->json, "print the constants as JSON");
   app.footer(
-      "Example: shale bench models/srpo_x2 --render 640x360 --json > a.json\n"
-      "         shale bench models/srpo_x2 --render 1280x720 --json > b.json\n"
-      "         shale fit a.json b.json -o here.json\n"
-      "         shale bench models/srpo_x2 --render 960x540 --constants here.json");
+      "Example: shale fit a.json b.json -o here.json\n"
+      "after     shale bench models/srpo_x2 --render 640x360 --json > a.json\n"
+      "          shale bench models/srpo_x2 --render 1280x720 --json > b.json\n"
+      "then      shale bench models/srpo_x2 --render 960x540 --constants here.json");
   return [arguments] { return run(*arguments); };
 }
 
