@@ -12,7 +12,6 @@ namespace {
 
 constexpr uint32_t kSpirvMagic = 0x07230203;
 constexpr size_t kSpirvHeaderWords = 5;
-constexpr uint32_t kUniformBuffer = 6, kStorageBuffer = 7, kTensor = 1000460000;
 
 using vgf_layout::label;
 
@@ -48,9 +47,9 @@ std::optional<uint64_t> packed_bytes(const std::vector<int64_t>& shape, uint32_t
 
 /// Bytes from the first to the last of a buffer or tensor, where they are known.
 std::optional<uint64_t> storage_bytes(const VgfResource& resource) {
-  const bool is_linear = resource.descriptor_type == kTensor ||
-                         resource.descriptor_type == kStorageBuffer ||
-                         resource.descriptor_type == kUniformBuffer;
+  // Uniform and storage texel buffers, uniform and storage buffers.
+  const bool is_linear = resource.descriptor_type == kVkDescriptorTensor ||
+                         (resource.descriptor_type >= 4 && resource.descriptor_type <= 7);
   const uint32_t element = vk_format_bytes(resource.format);
   if (!is_linear || element == 0) return std::nullopt;
   const std::optional<uint64_t> packed = packed_bytes(resource.shape, element);

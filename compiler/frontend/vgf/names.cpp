@@ -1,4 +1,5 @@
 // Numbers of Vulkan and of the format, for people and for sizes.
+#include "compiler/frontend/vgf/formats.h"
 #include "compiler/frontend/vgf/vgf.h"
 
 namespace shale {
@@ -32,6 +33,27 @@ constexpr FormatRun kFormatRuns[] = {{1, 1, 1},
                                      {1000460000, 1000460000, 1},
                                      {1000460001, 1000460001, 2},
                                      {1000460002, 1000460003, 1}};
+
+struct ElementFormat {
+  uint32_t format;
+  DType dtype;
+};
+
+/// The first of a type is the one that is written.
+constexpr ElementFormat kElementFormats[] = {{14, DType::kInt8},
+                                             {13, DType::kInt8},
+                                             {75, DType::kInt16},
+                                             {74, DType::kInt16},
+                                             {99, DType::kInt32},
+                                             {98, DType::kInt32},
+                                             {111, DType::kInt48},
+                                             {110, DType::kInt48},
+                                             {76, DType::kFp16},
+                                             {100, DType::kFp32},
+                                             {1000460000, DType::kBool},
+                                             {1000460001, DType::kBf16},
+                                             {1000460002, DType::kFp8E4M3},
+                                             {1000460003, DType::kFp8E5M2}};
 
 struct Named {
   uint32_t number;
@@ -76,6 +98,19 @@ uint32_t vk_format_bytes(uint32_t format) {
   for (const FormatRun& run : kFormatRuns)
     if (format >= run.first && format <= run.last) return run.bytes;
   return 0;
+}
+
+uint32_t vk_format_of_dtype(DType dtype) {
+  if (dtype == DType::kInt4) dtype = DType::kInt8;  // one byte each in host memory
+  for (const ElementFormat& row : kElementFormats)
+    if (row.dtype == dtype) return row.format;
+  return 0;
+}
+
+DType dtype_of_vk_format(uint32_t format) {
+  for (const ElementFormat& row : kElementFormats)
+    if (row.format == format) return row.dtype;
+  return DType::kUnknown;
 }
 
 std::string vk_format_name(uint32_t format) { return name_of(kFormatNames, format); }

@@ -20,6 +20,9 @@ namespace shale {
 /// "None" of descriptor types, alias groups and set indexes.
 inline constexpr uint32_t kVgfNone = 0xFFFFFFFF;
 
+/// VkDescriptorType of tensors.
+inline constexpr uint32_t kVkDescriptorTensor = 1000460000;
+
 enum class VgfModuleType : uint8_t { kCompute = 0, kGraph = 1 };
 enum class VgfCode : uint8_t { kNone = 0, kSpirv = 1, kGlsl = 2, kHlsl = 3 };
 enum class VgfCategory : uint8_t { kInput = 0, kOutput = 1, kIntermediate = 2, kConstant = 3 };
