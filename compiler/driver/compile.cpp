@@ -560,7 +560,9 @@ bool has_graph(const Frame& frame) {
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options) {
   Graph graph;
   if (!options.frame || has_graph(*options.frame)) {
-    SHALE_TRY(graph, import_model(model));
+    ImportOptions import = options.import;
+    import.input_shapes = options.passes.input_shapes;
+    SHALE_TRY(graph, import_model(model, import));
   }
   return compile_graph(std::move(graph), stable_hash(model), options);
 }

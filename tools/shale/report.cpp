@@ -16,7 +16,8 @@ namespace {
 namespace fs = std::filesystem;
 
 struct Arguments {
-  std::vector<std::string> files, input_shapes;
+  std::vector<std::string> files;
+  ImportArguments import;
   std::string cost_table, row, measured, convention = "mac";
   uint32_t variant = 0;
   Budget budget;
@@ -332,12 +333,10 @@ Result<Json> report_package(const std::string& path, std::span<const uint8_t> by
 
 Result<Json> report_model(const std::string& path, std::span<const uint8_t> bytes,
                           const Arguments& arguments) {
-  SHALE_TRY(Graph graph, import_model(bytes));
+  SHALE_TRY(const ImportOptions import, arguments.import.options());
+  SHALE_TRY(Graph graph, import_model(bytes, import));
   PassContext context;
-  for (const std::string& text : arguments.input_shapes) {
-    SHALE_TRY(auto shape, parse_input_shape(text));
-    context.input_shapes.insert(std::move(shape));
-  }
+  context.input_shapes = import.input_shapes;
   SHALE_TRY_VOID(run_pass(*find_pass("infer-shapes"), graph, context));
   SHALE_TRY_VOID(verify(graph));
   const GraphReport report = cost_of_graph(graph);
@@ -363,7 +362,7 @@ Result<int> report_files(const Arguments& arguments) {
     const bool packaged = is_package(bytes);
     if (!packaged && !arguments.measured.empty())
       return bad_input("--measured", "needs a package, {} is a model", file);
-    if (packaged && !arguments.input_shapes.empty())
+    if (packaged && !arguments.import.input_shapes.empty())
       return bad_input("--input-shape", "{} is a package, its shapes are fixed", file);
     Result<Json> report =
         packaged ? report_package(path, bytes, arguments) : report_model(path, bytes, arguments);
@@ -516,16 +515,14 @@ Action add_report(CLI::App& app) {
   CLI::Option_group& what =
       *app.add_option_group("What to report", "files, or a table of published figures");
   what.add_option("file", arguments->files,
-                  "models (.tosa, .tir), model folders, packages (.shale)");
+                  fmt::format("models ({}), model folders, packages (.shale)", kModelKinds));
   CLI::Option* const table =
       what.add_option("--cost-table", arguments->cost_table,
                       "count the layers of a table of published figures and compare");
   what.require_option(1);
   app.add_option("--row", arguments->row, "only this row of the table, with its graph")
       ->needs(table);
-  app.add_option("--input-shape", arguments->input_shapes,
-                 "shape of a model's input, NAME=N,H,W,C (again for each input)")
-      ->allow_extra_args(false);  // what follows is a file
+  arguments->import.add_to(app);
   app.add_option("--variant", arguments->variant, "variant of the package");
   app.add_option("--measured", arguments->measured,
                  "times from shale run --profile-to, to set beside the predicted ones");
