@@ -401,7 +401,7 @@ std::string module_of(const std::vector<Slot>& inputs, const std::vector<Slot>& 
 
 TEST(SpirvGraph, ReadsEveryKindOfConstant) {
   const std::vector<std::string> types{"%flag2", "%flag2", "%b23", "%b223", "%h2",
-                                       "%l2",    "%b223",  "%b23", "%d2",   "%f2"};
+                                       "%l2",    "%b223",  "%b23", "%d2"};
   std::vector<Slot> outputs;
   std::string names, sets;
   for (size_t i = 0; i < types.size(); ++i) {
@@ -423,7 +423,6 @@ TEST(SpirvGraph, ReadsEveryKindOfConstant) {
 %hs = OpConstant %i16 -301
 %l = OpConstant %i64 0 -32768
 %lm = OpConstant %i64 -1 32767
-%f = OpConstant %f32 1065353216
 %k0 = OpConstantComposite %flag2 %true %spec_false
 %k1 = OpSpecConstantComposite %flag2 %spec_true %true
 %k2 = OpConstantComposite %b23 %row %zero_row
@@ -435,7 +434,6 @@ TEST(SpirvGraph, ReadsEveryKindOfConstant) {
 %external_row = OpGraphConstantARM %b3 4000000000
 %k7 = OpConstantComposite %b23 %row %external_row
 %k8 = OpGraphConstantARM %d2 8
-%k9 = OpConstantComposite %f2 %f %f
 )",
                                        sets);
   const std::vector<uint8_t> row{1, 2, 128}, pair{1, 0, 0, 0, 254, 255, 255, 255};
@@ -451,12 +449,20 @@ TEST(SpirvGraph, ReadsEveryKindOfConstant) {
   const %k6 : i8[2,2,3] = [0,0,0,0,0,0,0,0,0,0,0,0]
   const %k7 : i8[2,3] = [-1,7,0,1,2,-128]
   const %k8 : i32[2] = [1,-2]
-  const %k9 : f32[2] = [1065353216,1065353216]
-  return %k0, %k1, %k2, %k3, %k4, %k5, %k6, %k7, %k8, %k9
+  return %k0, %k1, %k2, %k3, %k4, %k5, %k6, %k7, %k8
 }
 )");
   const auto listed = must(list_spirv_entry_points(bytes_of(assemble_spirv(module))));
   EXPECT_EQ(listed[0].constant_ids, (std::vector<uint32_t>{8, 4000000000}));
+}
+
+TEST(SpirvGraph, ReadsFloatsThoughTheProfileHasNone) {
+  const std::string module = module_of(
+      {}, {{"", "%f2"}}, "%f = OpConstant %f32 1065353216\n%k = OpConstantComposite %f2 %f %f\n",
+      "OpGraphSetOutputARM %k %c0\n");
+  const Graph graph = must(read_spirv_graph(bytes_of(assemble_spirv(module)), {}));
+  EXPECT_EQ(graph.values[0].type, (TensorType{DType::kFp32, {2}}));
+  EXPECT_EQ(graph.values[0].constant->bytes, (std::vector<uint8_t>{0, 0, 128, 63, 0, 0, 128, 63}));
 }
 
 TEST(SpirvGraph, TakesOperandsAsProducersGiveThem) {
@@ -860,6 +866,9 @@ OpDecorate %y Binding 1
 %tr = OpTypeTensorARM %i8 %c1
 %ta = OpTypeArray %t %c2
 %k = OpConstantComposite %t %e3 %e3
+%c13 = OpConstant %i32 13
+%a13 = OpTypeArray %i32 %c13
+%long = OpConstantNull %a13
 %p = OpTypePointer UniformConstant %t
 %x = OpVariable %p UniformConstant
 %y = OpVariable %p UniformConstant
@@ -881,100 +890,100 @@ TEST(SpirvGraph, RefusesWhatBreaksARule) {
   const Row rows[] = {
       // Graph type.
       {"OpTypeGraphARM 1 %t %t", "OpTypeGraphARM 1 %t",
-       "word 127 (OpTypeGraphARM): has 1 types for 1 inputs, expected at least one output"},
+       "word 138 (OpTypeGraphARM): has 1 types for 1 inputs, expected at least one output"},
       {"OpTypeGraphARM 1 %t %t", "OpTypeGraphARM 1 %t %i8",
-       "word 127 (OpTypeGraphARM): the type %4 is no tensor type"},
+       "word 138 (OpTypeGraphARM): the type %4 is no tensor type"},
       {"OpTypeGraphARM 1 %t %t", "OpTypeGraphARM 1 %ta %t",
-       "word 127 (OpTypeGraphARM): the type %22 is an array of tensors"},
+       "word 138 (OpTypeGraphARM): the type %22 is an array of tensors"},
       // Entry point.
       {"OpGraphEntryPointARM %g \"main\" %x %y\n", "",
        "the SPIR-V module has no graph entry point"},
       {"OpGraphEntryPointARM %g", "OpGraphEntryPointARM %t",
-       "word 132 (OpGraphEntryPointARM): %19 is no OpGraphARM"},
+       "word 143 (OpGraphEntryPointARM): %19 is no OpGraphARM"},
       {"\"main\" %x %y", "\"main\" %x",
-       "word 132 (OpGraphEntryPointARM): has 1 interface variables, the graph has 1 inputs and 1 "
+       "word 143 (OpGraphEntryPointARM): has 1 interface variables, the graph has 1 inputs and 1 "
        "outputs"},
       {"\"main\" %x %y", "\"main\" %x %c1",
-       "word 132 (OpGraphEntryPointARM): the interface id %9 is no variable"},
+       "word 143 (OpGraphEntryPointARM): the interface id %9 is no variable"},
       {"\"main\" %x %y", "\"main\" %x %y\nOpGraphEntryPointARM %g \"main\" %x %y",
-       "word 138 (OpGraphEntryPointARM): another entry point is named \"main\" too"},
+       "word 149 (OpGraphEntryPointARM): another entry point is named \"main\" too"},
       {"%y = OpVariable %p UniformConstant", "%y = OpVariable %p StorageBuffer",
-       "word 132 (OpGraphEntryPointARM): the variable %3 has storage class 12, expected "
+       "word 143 (OpGraphEntryPointARM): the variable %3 has storage class 12, expected "
        "UniformConstant"},
       {"OpTypePointer UniformConstant %t", "OpTypePointer StorageBuffer %t",
-       "word 132 (OpGraphEntryPointARM): the variable %2 has storage class 12, expected "
+       "word 143 (OpGraphEntryPointARM): the variable %2 has storage class 12, expected "
        "UniformConstant"},
       {"%y = OpVariable %p", "%p2 = OpTypePointer UniformConstant %t2\n%y = OpVariable %p2",
-       "word 136 (OpGraphEntryPointARM): the variable %3 points to type %20, entry 1 of the "
+       "word 147 (OpGraphEntryPointARM): the variable %3 points to type %20, entry 1 of the "
        "graph's type is %19"},
       {"%y = OpVariable %p", "%y = OpVariable %t",
-       "word 119 (OpVariable): its type %19 is no pointer"},
+       "word 130 (OpVariable): its type %19 is no pointer"},
       {"OpDecorate %y Binding 1\n", "",
-       "word 128 (OpGraphEntryPointARM): the variable %3 has no Binding decoration"},
+       "word 139 (OpGraphEntryPointARM): the variable %3 has no Binding decoration"},
       {"OpDecorate %y DescriptorSet 0\n", "",
-       "word 128 (OpGraphEntryPointARM): the variable %3 has no DescriptorSet decoration"},
+       "word 139 (OpGraphEntryPointARM): the variable %3 has no DescriptorSet decoration"},
       {"OpDecorate %y Binding 1", "OpDecorate %y Binding 1 1",
        "word 26 (OpDecorate): has 5 words, this decoration has 4"},
       // Inputs.
       {"%in = OpGraphInputARM %t %c0", "%in = OpGraphInputARM %t %c1",
-       "word 141 (OpGraphInputARM): the input index is 1, the graph has 1 inputs"},
+       "word 152 (OpGraphInputARM): the input index is 1, the graph has 1 inputs"},
       {"%in = OpGraphInputARM %t %c0", "%in = OpGraphInputARM %t %x",
-       "word 141 (OpGraphInputARM): the input index %2 is no integer constant"},
+       "word 152 (OpGraphInputARM): the input index %2 is no integer constant"},
       {"%in = OpGraphInputARM %t %c0", "%in = OpGraphInputARM %t2 %c0",
-       "word 141 (OpGraphInputARM): its type is %20, input 0 of the graph's type is %19"},
+       "word 152 (OpGraphInputARM): its type is %20, input 0 of the graph's type is %19"},
       {"%in = OpGraphInputARM %t %c0", "%in = OpGraphInputARM %t %c0 %c0",
-       "word 141 (OpGraphInputARM): has an element index, but input 0 is no array"},
+       "word 152 (OpGraphInputARM): has an element index, but input 0 is no array"},
       {"%in = OpGraphInputARM %t %c0",
        "%in = OpGraphInputARM %t %c0\n%in2 = OpGraphInputARM %t %c0",
-       "word 145 (OpGraphInputARM): input 0 is read a second time"},
+       "word 156 (OpGraphInputARM): input 0 is read a second time"},
       {"OpGraphSetOutputARM", "%in2 = OpGraphInputARM %t %c1\nOpGraphSetOutputARM",
-       "word 154 (OpGraphInputARM): inputs come straight after OpGraphARM"},
+       "word 165 (OpGraphInputARM): inputs come straight after OpGraphARM"},
       // Outputs.
       {"OpGraphSetOutputARM %sum %c0", "OpGraphSetOutputARM %sum %c1",
-       "word 154 (OpGraphSetOutputARM): the output index is 1, the graph has 1 outputs"},
+       "word 165 (OpGraphSetOutputARM): the output index is 1, the graph has 1 outputs"},
       {"OpGraphSetOutputARM %sum %c0", "OpGraphSetOutputARM %sum %k",
-       "word 154 (OpGraphSetOutputARM): the output index %23 is no integer constant"},
+       "word 165 (OpGraphSetOutputARM): the output index %23 is no integer constant"},
       {"OpGraphSetOutputARM %sum %c0", "OpGraphSetOutputARM %tosa %c0",
-       "word 154 (OpGraphSetOutputARM): %1 is no value of this graph and no constant"},
+       "word 165 (OpGraphSetOutputARM): %1 is no value of this graph and no constant"},
       {"OpGraphSetOutputARM %sum %c0", "OpGraphSetOutputARM %c2 %c0",
-       "word 154 (OpGraphSetOutputARM): the type of %10 is %5, output 0 of the graph's type is "
+       "word 165 (OpGraphSetOutputARM): the type of %10 is %5, output 0 of the graph's type is "
        "%19"},
       {"OpGraphSetOutputARM %sum %c0", "OpGraphSetOutputARM %sum %c0 %c0",
-       "word 154 (OpGraphSetOutputARM): has an element index, but output 0 is no array"},
+       "word 165 (OpGraphSetOutputARM): has an element index, but output 0 is no array"},
       {"OpGraphSetOutputARM %sum %c0", "OpGraphSetOutputARM %sum %c0\nOpGraphSetOutputARM %in %c0",
-       "word 157 (OpGraphSetOutputARM): output 0 is set a second time"},
+       "word 168 (OpGraphSetOutputARM): output 0 is set a second time"},
       {"OpGraphSetOutputARM %sum %c0",
        "OpGraphSetOutputARM %sum %c0\n%z = OpExtInst %t %tosa BITWISE_NOT %in",
-       "word 157 (OpExtInst): stands behind an OpGraphSetOutputARM, outputs come last"},
+       "word 168 (OpExtInst): stands behind an OpGraphSetOutputARM, outputs come last"},
       {"OpGraphSetOutputARM %sum %c0\n", "",
-       "word 154 (OpGraphEndARM): the graph sets 0 of its 1 outputs"},
+       "word 165 (OpGraphEndARM): the graph sets 0 of its 1 outputs"},
       // Graphs.
       {"OpGraphEndARM\n", "",
-       "word 138 (OpGraphARM): the module ends before this graph's OpGraphEndARM"},
+       "word 149 (OpGraphARM): the module ends before this graph's OpGraphEndARM"},
       {"OpGraphEndARM", "OpGraphEndARM\nOpGraphEndARM",
-       "word 158 (OpGraphEndARM): stands outside a graph"},
+       "word 169 (OpGraphEndARM): stands outside a graph"},
       {"OpGraphEndARM", "OpGraphEndARM\n%i16 = OpTypeInt 16 0",
-       "word 158 (OpTypeInt): types, constants and variables come before the first graph"},
+       "word 169 (OpTypeInt): types, constants and variables come before the first graph"},
       {"%in = Op", "%i16 = OpTypeInt 16 0\n%in = Op",
-       "word 141 (OpTypeInt): stands inside a graph"},
+       "word 152 (OpTypeInt): stands inside a graph"},
       {"%g = OpGraphARM %gt", "%g = OpGraphARM %t",
-       "word 138 (OpGraphARM): its type %19 is no OpTypeGraphARM"},
+       "word 149 (OpGraphARM): its type %19 is no OpTypeGraphARM"},
       {"OpGraphEntryPointARM", "%z = OpExtInst %t %tosa BITWISE_NOT %k\nOpGraphEntryPointARM",
-       "word 132 (OpExtInst): stands outside a graph"},
+       "word 143 (OpExtInst): stands outside a graph"},
       {"OpGraphSetOutputARM", "%z = OpCompositeExtract %t %sum 0\nOpGraphSetOutputARM",
-       "word 154 (OpCompositeExtract): splits a struct, which no operator of the integer profile "
+       "word 165 (OpCompositeExtract): splits a struct, which no operator of the integer profile "
        "gives"},
       {"OpGraphEndARM",
        "OpGraphEndARM\n%g2 = OpGraphARM %gt\nOpGraphSetOutputARM %in %c0\nOpGraphEndARM",
-       "word 161 (OpGraphSetOutputARM): %28 is no value of this graph and no constant"},
+       "word 172 (OpGraphSetOutputARM): %31 is no value of this graph and no constant"},
       // Graph constants.
       {"OpGraphConstantARM %t 7", "OpGraphConstantARM %i8 7",
-       "word 123 (OpGraphConstantARM): its type %4 is no tensor type"},
+       "word 134 (OpGraphConstantARM): its type %4 is no tensor type"},
       {"OpGraphConstantARM %t 7", "OpGraphConstantARM %tr 7",
-       "word 123 (OpGraphConstantARM): its type is i8[?], only tensors with a shape can be "
+       "word 134 (OpGraphConstantARM): its type is i8[?], only tensors with a shape can be "
        "constants"},
       {"OpGraphConstantARM %t 7", "OpGraphConstantARM %t 7\n%w2 = OpGraphConstantARM %t 7",
-       "word 127 (OpGraphConstantARM): the GraphConstantID 7 is taken by word 123"},
+       "word 138 (OpGraphConstantARM): the GraphConstantID 7 is taken by word 134"},
       // Types.
       {"%t = OpTypeTensorARM %i8", "%t = OpTypeTensorARM %c1",
        "word 88 (OpTypeTensorARM): the element type %9 is no bool, int8, int16, int32, int64, "
@@ -1003,7 +1012,7 @@ TEST(SpirvGraph, RefusesWhatBreaksARule) {
       {"OpTypeArray %i32 %c1", "OpTypeArray %c0 %c1",
        "word 67 (OpTypeArray): the element type %8 is no type"},
       {"OpTypePointer UniformConstant %t", "OpTypePointer UniformConstant %c0",
-       "word 111 (OpTypePointer): the pointed type %8 is no type"},
+       "word 122 (OpTypePointer): the pointed type %8 is no type"},
       // Constants.
       {"%k = OpConstantComposite %t %e3 %e3", "%k = OpConstantComposite %t %e3",
        "word 106 (OpConstantComposite): has 1 constituents, i8[2] needs 2"},
@@ -1029,49 +1038,55 @@ TEST(SpirvGraph, RefusesWhatBreaksARule) {
        "word 5 (OpExtInstImport): found the instruction set \"TOSA.001001.0\", expected "
        "\"TOSA.001000.1\""},
       {"TOSA.001000.1", "Arm.MotionEngine.100",
-       "word 147 (OpExtInst): instruction 10 of the set \"Arm.MotionEngine.100\", expected "
+       "word 158 (OpExtInst): instruction 10 of the set \"Arm.MotionEngine.100\", expected "
        "\"TOSA.001000.1\""},
-      {"%tosa CLAMP", "%c0 CLAMP", "word 145 (OpExtInst): %8 is no imported instruction set"},
+      {"%tosa CLAMP", "%c0 CLAMP", "word 156 (OpExtInst): %8 is no imported instruction set"},
       {"CLAMP %e3 %e3 %c1 %in", "SIGMOID %in",
-       "word 145 (OpExtInst), sigmoid: the operator is outside the integer profile"},
+       "word 156 (OpExtInst), sigmoid: the operator is outside the integer profile"},
       {"CLAMP %e3 %e3 %c1 %in", "66 %in",
-       "word 145 (OpExtInst): operator number 66 is not in TOSA.001000.1"},
+       "word 156 (OpExtInst): operator number 66 is not in TOSA.001000.1"},
       {"CLAMP %e3 %e3 %c1 %in", "67 %in",
-       "word 145 (OpExtInst): operator number 67 is not in TOSA.001000.1"},
+       "word 156 (OpExtInst): operator number 67 is not in TOSA.001000.1"},
       {"CLAMP %e3 %e3 %c1 %in", "CLAMP %e3 %e3 %c1",
-       "word 145 (OpExtInst), clamp: has 3 operands, expected 4"},
+       "word 156 (OpExtInst), clamp: has 3 operands, expected 4"},
       {"CLAMP %e3 %e3 %c1 %in", "CONCAT %c0",
-       "word 145 (OpExtInst), concat: has 1 operands, expected 2 to 65"},
+       "word 156 (OpExtInst), concat: has 1 operands, expected 2 to 65"},
       {"CLAMP %e3 %e3 %c1 %in", "CLAMP %e3 %in %c1 %in",
-       "word 145 (OpExtInst), clamp: max_val is %28, which is no constant"},
+       "word 156 (OpExtInst), clamp: max_val is %31, which is no constant"},
       {"CLAMP %e3 %e3 %c1 %in", "CLAMP %e3 %k %c1 %in",
-       "word 145 (OpExtInst), clamp: max_val is %23, which is no number constant"},
+       "word 156 (OpExtInst), clamp: max_val is %23, which is no number constant"},
       {"CLAMP %e3 %e3 %c1 %in", "CLAMP %e3 %e3 %c0 %in",
-       "word 145 (OpExtInst), clamp: nan_mode is 0, expected 1 to 2"},
+       "word 156 (OpExtInst), clamp: nan_mode is 0, expected 1 to 2"},
       {"CLAMP %e3 %e3 %c1 %in", "CLAMP %e3 %e3 %c1 %sum",
-       "word 145 (OpExtInst), clamp: operand 0 is %29, which is no constant and no earlier value "
+       "word 156 (OpExtInst), clamp: operand 0 is %32, which is no constant and no earlier value "
        "of this graph"},
       {"CLAMP %e3 %e3 %c1 %in", "CLAMP %e3 %e3 %c1 %e3",
-       "word 145 (OpExtInst), clamp, operand: constant %12: is neither a shaped tensor nor an "
+       "word 156 (OpExtInst), clamp, operand: constant %12: is neither a shaped tensor nor an "
        "array of scalars"},
       {"CLAMP %e3 %e3 %c1 %in", "ARITHMETIC_RIGHT_SHIFT %c1 %in %in",
-       "word 145 (OpExtInst), arithmetic_right_shift: round is %9, which is no bool constant"},
+       "word 156 (OpExtInst), arithmetic_right_shift: round is %9, which is no bool constant"},
       {"CLAMP %e3 %e3 %c1 %in", "TRANSPOSE %c0 %in",
-       "word 145 (OpExtInst), transpose, perms: constant %8: is neither a shaped tensor nor an "
+       "word 156 (OpExtInst), transpose, perms: constant %8: is neither a shaped tensor nor an "
        "array of scalars"},
       {"CLAMP %e3 %e3 %c1 %in", "AVG_POOL2D %sh %sh %sh %c7 %in %k %k",
-       "word 145 (OpExtInst), avg_pool2d: acc_type is 7, expected 1 to 4"},
+       "word 156 (OpExtInst), avg_pool2d: acc_type is 7, expected 1 to 4"},
+      {"CLAMP %e3 %e3 %c1 %in", "TRANSPOSE %long %in",
+       "word 156 (OpExtInst), transpose: the perms %26 is i32[13], expected a list of at most 12 "
+       "integers"},
+      {"CLAMP %e3 %e3 %c1 %in", "RESHAPE %in %long",
+       "word 156 (OpExtInst), reshape: the shape %26 is i32[13], expected a list of at most 12 "
+       "integers"},
       {"CLAMP %e3 %e3 %c1 %in", "RESHAPE %in %in",
-       "word 145 (OpExtInst), reshape: operand 1 is %28, a shape must be constant"},
+       "word 156 (OpExtInst), reshape: operand 1 is %31, a shape must be constant"},
       {"CLAMP %e3 %e3 %c1 %in", "BITWISE_NOT %w",
-       "word 145 (OpExtInst), bitwise_not, operand: graph constant 7: is i8[2] from outside the "
+       "word 156 (OpExtInst), bitwise_not, operand: graph constant 7: is i8[2] from outside the "
        "module, and no data was given for it"},
       {"OpExtInst %t %tosa", "OpExtInst %i8 %tosa",
-       "word 154 (OpGraphSetOutputARM): the type of %29 is %4, output 0 of the graph's type is "
+       "word 165 (OpGraphSetOutputARM): the type of %32 is %4, output 0 of the graph's type is "
        "%19"},
-      {"OpExtInst %t %tosa", "OpExtInst %c0 %tosa", "word 145 (OpExtInst): its type %8 is no type"},
+      {"OpExtInst %t %tosa", "OpExtInst %c0 %tosa", "word 156 (OpExtInst): its type %8 is no type"},
       {"OpGraphSetOutputARM", "%z = OpExtInst %i8 %tosa BITWISE_NOT %in\nOpGraphSetOutputARM",
-       "word 154 (OpExtInst), bitwise_not: its type %4 is no tensor type"},
+       "word 165 (OpExtInst), bitwise_not: its type %4 is no tensor type"},
       // Others.
       {"%bool = OpTypeBool", "%bool = OpTypeBool\n%u = OpUndef %bool",
        "word 40 (OpUndef): the instruction has no place in a graph module"},
@@ -1098,7 +1113,7 @@ TEST(SpirvGraph, RefusesBrokenWords) {
   EXPECT_FALSE(is_spirv(bytes_of(words).first(3)));
   EXPECT_FALSE(is_spirv(bytes_of(words).subspan(4)));
   EXPECT_EQ(error_text(read_spirv_graph(bytes_of(words).first(words.size() * 4 - 1), {})),
-            "found 631 bytes, SPIR-V has 4 a word");
+            "found 675 bytes, SPIR-V has 4 a word");
   EXPECT_EQ(error_text(read_spirv_graph(bytes_of(words).first(16), {})),
             "found 4 words, a SPIR-V header has 5");
   EXPECT_EQ(with(0, 0x07230204), "word 0: found the magic number 0x07230204, expected 0x07230203");
@@ -1108,9 +1123,9 @@ TEST(SpirvGraph, RefusesBrokenWords) {
             "word 51 (OpConstant): the result id %10 is outside 1 to 9, the module's bound");
   EXPECT_EQ(with(3, 0),
             "word 5 (OpExtInstImport): the result id %1 is outside 1 to 0, the module's bound");
-  EXPECT_EQ(with(5, 11), "word 5 (OpExtInstImport): has 0 words, 153 are left in the module");
+  EXPECT_EQ(with(5, 11), "word 5 (OpExtInstImport): has 0 words, 164 are left in the module");
   EXPECT_EQ(with(5, words[5] + 0x7f000000),
-            "word 5 (OpExtInstImport): has 32518 words, 153 are left in the module");
+            "word 5 (OpExtInstImport): has 32518 words, 164 are left in the module");
   EXPECT_EQ(with(5, words[5] - 11 + 9999),
             "word 5 (opcode 9999): the instruction has no place in a graph module");
   EXPECT_EQ(with(5, words[5] - 11 + 54),
@@ -1118,7 +1133,7 @@ TEST(SpirvGraph, RefusesBrokenWords) {
   EXPECT_EQ(with(10, words[10] | 0x01010101),
             "word 5 (OpExtInstImport): the string does not end within the instruction");
   EXPECT_EQ(with(words.size() - 1, 0x0003105A),
-            "word 157 (OpGraphEndARM): has 3 words, 1 are left in the module");
+            "word 168 (OpGraphEndARM): has 3 words, 1 are left in the module");
 }
 
 TEST(SpirvGraph, WantsAllExternalConstants) {
@@ -1167,6 +1182,39 @@ TEST(SpirvGraph, BoundsInlineConstants) {
             "elements on an axis; write it as an external constant");
   const SpirvGraphModule module = must(write_spirv_graph(graph, {.external_constants = true}));
   EXPECT_TRUE(must(reread(module)) == graph);
+}
+
+TEST(SpirvGraph, BoundsWhatEntryPointsShare) {
+  // A long name on the variable that all inputs are, and many entry points of one graph.
+  const auto inputs = [](size_t count) {
+    std::string list, types;
+    for (size_t i = 0; i < count; ++i) list += " %x", types += " %t";
+    std::string module =
+        replaced(kSmall, "OpName %x \"x\"", "OpName %x \"" + std::string(200000, 'n') + "\"");
+    module =
+        replaced(module, "OpTypeGraphARM 1 %t", fmt::format("OpTypeGraphARM {}{}", count, types));
+    return replaced(module, "\"main\" %x", "\"main\"" + list);
+  };
+  const Graph graph = must(read_spirv_graph(bytes_of(assemble_spirv(inputs(300))), {}));
+  EXPECT_EQ(graph.value(graph.inputs[0]).name.size(), 200000u);
+  EXPECT_EQ(graph.value(graph.inputs[299]).name, std::string(256, 'n') + ".299");
+  EXPECT_EQ(outcome(inputs(400)),
+            "word 50542 (OpGraphEntryPointARM): the interfaces take over 67108864 bytes with their "
+            "names");
+  std::string entries, constants, operands;
+  for (int i = 0; i < 1100; ++i) {
+    entries += fmt::format("OpGraphEntryPointARM %g \"{}\" %x %y\n", i);
+    constants += fmt::format("%w{0} = OpGraphConstantARM %t {1}\n", i, i + 100);
+    operands += fmt::format(" %w{}", i);
+  }
+  std::string module = replaced(kSmall, "%gt = ", constants + "%gt = ");
+  module = replaced(module, "CLAMP %e3 %e3 %c1 %in", "CONCAT %c0" + operands);
+  EXPECT_EQ(must(list_spirv_entry_points(bytes_of(assemble_spirv(module))))[0].constant_ids.size(),
+            1100u);
+  module = replaced(module, "%g = OpGraphARM", entries + "%g = OpGraphARM");
+  EXPECT_EQ(error_text(list_spirv_entry_points(bytes_of(assemble_spirv(module)))),
+            "word 9309 (OpGraphEntryPointARM): the constants of all entry points take over "
+            "67108864 bytes");
 }
 
 TEST(SpirvGraph, WritesRowsUpToTheInstructionLimit) {

@@ -186,8 +186,16 @@ Result<Module> Module::parse(std::span<const uint8_t> bytes) {
   if (module.entry_points.empty())
     return bad_input("", "the SPIR-V module has no graph entry point");
   std::unordered_set<std::string> entry_names;
+  size_t interface_bytes = 0;
   for (const EntryPoint& entry : module.entry_points) {
     SHALE_TRY_VOID(module.check_entry_point(entry));
+    for (const uint32_t id : entry.interface) {
+      const auto named = module.names.find(id);
+      interface_bytes += 64 + (named == module.names.end() ? 0 : named->second.size());
+    }
+    if (interface_bytes > kMaxListingBytes)
+      return unsupported(module.where(entry.at),
+                         "the interfaces take over {} bytes with their names", kMaxListingBytes);
     if (!entry_names.insert(entry.name).second)
       return bad_input(module.where(entry.at), "another entry point is named \"{}\" too",
                        entry.name);
@@ -198,13 +206,12 @@ Result<Module> Module::parse(std::span<const uint8_t> bytes) {
 Result<Module::Instruction> Module::instruction_at(size_t at) const {
   const uint32_t number = words[at] & 0xffff;
   const size_t size = words[at] >> 16;
-  const std::string label = where(at);
   if (size == 0 || size > words.size() - at)
-    return bad_input(label, "has {} words, {} are left in the module", size, words.size() - at);
+    return bad_input(where(at), "has {} words, {} are left in the module", size, words.size() - at);
   const OpcodeInfo* info = opcode_info(number);
-  if (!info) return unsupported(label, "the instruction has no place in a graph module");
+  if (!info) return unsupported(where(at), "the instruction has no place in a graph module");
   if (size < info->min_words || size > info->max_words)
-    return bad_input(label, "has {} words, expected {}", size,
+    return bad_input(where(at), "has {} words, expected {}", size,
                      info->max_words == info->min_words ? std::to_string(info->min_words)
                      : info->max_words == kMaxInstructionWords
                          ? fmt::format("at least {}", info->min_words)

@@ -11,13 +11,15 @@ namespace {
 /// The sizes that nothing has settled yet.
 bool is_open(const Shape& shape) { return std::ranges::find(shape, kDynamic) != shape.end(); }
 
-/// Unique names; the first to ask for a name gets it.
+/// Unique names; the first to ask for a name gets it. Later ones get its beginning and a number, so
+/// that one long name in a file cannot make many.
 class Names {
  public:
   std::string claim(const std::string& wanted) {
     if (taken_.insert(wanted).second) return wanted;
-    for (uint32_t& suffix = suffixes_[wanted];;) {
-      std::string candidate = fmt::format("{}.{}", wanted, ++suffix);
+    const std::string base = wanted.substr(0, 256);
+    for (uint32_t& suffix = suffixes_[base];;) {
+      std::string candidate = fmt::format("{}.{}", base, ++suffix);
       if (taken_.insert(candidate).second) return candidate;
     }
   }
@@ -117,8 +119,9 @@ class Reader {
         if (found == options_.input_shapes.end())
           return bad_input(where, "its rank is open; give it with --input-shape {}=N,H,W,C", name);
         slot.type.shape = found->second;
-        for (const int64_t size : slot.type.shape)
-          if (size < 1) return bad_input(where, "{} is no shape", shape_text(slot.type.shape));
+        if (slot.type.shape.empty() ||
+            std::ranges::any_of(slot.type.shape, [](int64_t size) { return size < 1; }))
+          return bad_input(where, "{} is no shape", shape_text(slot.type.shape));
         SHALE_TRY_VOID(check_size(where, slot.type.shape));
       }
       const ValueId id = add_value(name, slot.type);
@@ -199,10 +202,8 @@ class Reader {
     const Constant* found = module_.constant(id);
     if (!found) return bad_input(where, "{} is %{}, which is no constant", info.name, id);
     if (info.kind == AttrKind::kIntList) {
+      SHALE_TRY_VOID(check_list(where, info.name, id));
       SHALE_TRY(const Tensor list, data(where, info.name, id));
-      if (list.type.shape.size() != 1 || !is_integer(list.type.dtype))
-        return bad_input(where, "{} is {}, expected a list of integers", info.name,
-                         type_text(list.type));
       attrs.set(info.attr, list.ints());
       return {};
     }
@@ -253,6 +254,16 @@ class Reader {
     return tensor;
   }
 
+  /// Attributes and shapes: no operator has a longer list, whatever a file holds.
+  Result<void> check_list(const std::string& where, std::string_view what, uint32_t id) {
+    const auto type = module_.data_type(*module_.type(module_.constant(id)->type));
+    if (type &&
+        (!is_integer(type->dtype) || type->shape.size() != 1 || type->shape[0] > 2 * kMaxRank))
+      return bad_input(where, "the {} %{} is {}, expected a list of at most {} integers", what, id,
+                       type_text(*type), 2 * kMaxRank);
+    return {};
+  }
+
   /// The value of a constant in the element type `as`, or in its own for kUnknown.
   Result<ValueId> constant(const std::string& where, uint32_t id, DType as) {
     const Constant& source = *module_.constant(id);
@@ -260,20 +271,19 @@ class Reader {
     if (as == DType::kUnknown && type) as = type->dtype;
     if (const auto known = constants_.find({id, as}); known != constants_.end())
       return known->second;
+    if (as == DType::kShape) SHALE_TRY_VOID(check_list(where, "shape", id));
     SHALE_TRY(Tensor tensor, data(where, "operand", id));
     const bool converts = as != type->dtype;
-    if (converts && (!is_integer(type->dtype) || type->shape.size() != 1))
-      return bad_input(where, "the operand %{} is {}, expected a list of integers", id,
-                       type_text(*type));
+    if (converts && !is_integer(type->dtype))
+      return bad_input(where, "the operand %{} is {}, expected integers", id, type_text(*type));
     // BOOL and INT48 do not fill their bytes.
     if (converts || dtype_info(as).bits != 8 * dtype_info(as).host_bytes) {
-      const std::vector<int64_t> elements = tensor.ints();
       const IntRange range = dtype_range(as);
-      for (const int64_t element : elements)
-        if (element < range.min || element > range.max)
+      for (int64_t i = 0; i < tensor.count(); ++i)
+        if (const int64_t element = tensor.get(i); element < range.min || element > range.max)
           return bad_input(where, "the operand %{} has {}, {} is {} to {}", id, element,
                            dtype_info(as).wire, range.min, range.max);
-      if (converts) tensor = Tensor::from_ints({as, type->shape}, elements);
+      if (converts) tensor = Tensor::from_ints({as, type->shape}, tensor.ints());
     }
     std::string wanted = module_.name(id);
     if (wanted.empty())
@@ -380,14 +390,24 @@ bool is_spirv(std::span<const uint8_t> bytes) {
 Result<std::vector<SpirvEntryPoint>> list_spirv_entry_points(std::span<const uint8_t> bytes) {
   SHALE_TRY(const spirv_graph::Module module, spirv_graph::Module::parse(bytes));
   std::vector<SpirvEntryPoint> result;
+  std::map<uint32_t, std::map<uint32_t, TensorType>> constants;  // by graph
+  size_t total_bytes = 0;
   for (const spirv_graph::EntryPoint& entry : module.entry_points) {
     const spirv_graph::GraphDefinition& graph = *module.graph(entry.graph);
     const uint32_t input_count = module.type(graph.type)->input_count;
+    const auto [used, is_new] = constants.try_emplace(entry.graph);
+    if (is_new) used->second = module.external_constants(graph);
+    // Entry points may share graphs, so a small module could list constants without end.
+    total_bytes += 64 * used->second.size();
+    if (total_bytes > spirv_graph::kMaxListingBytes)
+      return unsupported(module.where(entry.at),
+                         "the constants of all entry points take over {} bytes",
+                         spirv_graph::kMaxListingBytes);
     SpirvEntryPoint listed;
     listed.name = entry.name;
     for (size_t i = 0; i < entry.interface.size(); ++i)
       (i < input_count ? listed.inputs : listed.outputs).push_back(module.slot(entry.interface[i]));
-    for (auto& [id, type] : module.external_constants(graph)) {
+    for (const auto& [id, type] : used->second) {
       listed.constant_ids.push_back(id);
       listed.constant_types.push_back(type);
     }
