@@ -555,6 +555,12 @@ Result<void> size_inputs(const Graph& graph, CompileOptions& options) {
   return {};
 }
 
+Result<Graph> imported(std::span<const uint8_t> model, const CompileOptions& options) {
+  ImportOptions import = options.import;
+  import.input_shapes = options.passes.input_shapes;
+  return import_model(model, import);
+}
+
 bool has_graph(const Frame& frame) {
   return std::any_of(frame.passes.begin(), frame.passes.end(),
                      [](const FramePass& pass) { return pass.is_graph; });
@@ -564,7 +570,7 @@ bool has_graph(const Frame& frame) {
 
 Result<Graph> shaped_graph(std::span<const uint8_t> model, const CompileOptions& given) {
   CompileOptions options = given;
-  SHALE_TRY(Graph graph, import_model(model));
+  SHALE_TRY(Graph graph, imported(model, options));
   if (options.frame) SHALE_TRY_VOID(size_inputs(graph, options));
   const Result<Change> shapes = run_pass(*find_pass("infer-shapes"), graph, options.passes);
   if (!shapes) return shapes.error();
@@ -582,7 +588,7 @@ Result<Graph> fused_graph(Graph graph, const CompileOptions& options) {
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options) {
   Graph graph;
   if (!options.frame || has_graph(*options.frame)) {
-    SHALE_TRY(graph, import_model(model));
+    SHALE_TRY(graph, imported(model, options));
   }
   return compile_graph(std::move(graph), stable_hash(model), options);
 }

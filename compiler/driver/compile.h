@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "compiler/driver/frame.h"
+#include "compiler/frontend/frontend.h"
 #include "compiler/kernels/kernel.h"
 #include "compiler/passes/pass.h"
 #include "ir/package/package.h"
@@ -17,6 +18,7 @@ namespace shale {
 
 struct CompileOptions {
   std::vector<std::string> targets{"lavapipe"};  ///< a variant each, names of known_profiles()
+  ImportOptions import;  ///< input_shapes are those of `passes`
   PassContext passes;
   PassOptions pass_options;
   std::vector<std::string>

@@ -1,6 +1,7 @@
 // make_seeds FOLDER FILE.tosa...: a corpus for every fuzz target, from real models.
 #include <filesystem>
 
+#include "compiler/frontend/spirv_graph/spirv_graph.h"
 #include "ir/base/file.h"
 #include "ir/binary/tosa.h"
 #include "ir/package/package.h"
@@ -48,7 +49,8 @@ Package small_package() {
 Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
   namespace fs = std::filesystem;
   std::error_code error;
-  for (const char* target : {"tosa_fuzz", "tir_fuzz", "package_fuzz", "pipeline_cache_fuzz"})
+  for (const char* target :
+       {"tosa_fuzz", "tir_fuzz", "spirv_graph_fuzz", "package_fuzz", "pipeline_cache_fuzz"})
     fs::create_directories(fs::path(folder) / target, error);
   if (error) return io_error(folder, "cannot create: {}", error.message());
   const auto path = [&](const char* target, const std::string& name) {
@@ -58,8 +60,16 @@ Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(models[i]));
     SHALE_TRY_VOID(write_file(path("tosa_fuzz", fmt::format("{}", i)), bytes));
     const Result<Graph> graph = read_tosa(bytes);
-    if (graph)
-      SHALE_TRY_VOID(write_text(path("tir_fuzz", fmt::format("{}", i)), print_text(*graph)));
+    if (!graph) continue;
+    SHALE_TRY_VOID(write_text(path("tir_fuzz", fmt::format("{}", i)), print_text(*graph)));
+    for (const bool external : {false, true}) {
+      const auto module = write_spirv_graph(*graph, {.external_constants = external});
+      if (!module) continue;  // not a legal graph
+      const auto* words = reinterpret_cast<const uint8_t*>(module->words.data());
+      SHALE_TRY_VOID(
+          write_file(path("spirv_graph_fuzz", fmt::format("{}{}", i, external ? "e" : "")),
+                     {words, module->words.size() * 4}));
+    }
   }
   SHALE_TRY_VOID(write_file(path("package_fuzz", "small"), write_package(small_package())));
   vk::CacheIdentity identity;

@@ -44,7 +44,7 @@ struct Door {
 
 const std::vector<Door> kDoors{
     {std::regex("^flatbuffers/"), {"ir/binary/", "ir/package/", "compiler/frontend/"}},
-    {std::regex("_generated\\.h$"), {"ir/binary/", "ir/package/"}},
+    {std::regex("_generated\\.h$"), {"ir/binary/", "ir/package/", "compiler/frontend/vgf/"}},
     {std::regex("^glslang/"), {"compiler/spirv/glsl.cpp"}},
     {std::regex("^spirv-tools/"), {"compiler/spirv/check.cpp"}},
     {std::regex("^spirv/"), {"compiler/spirv/"}},

@@ -258,7 +258,8 @@ Result<int> run(const Arguments& arguments) {
 Action add_bench(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   app.add_option("models", arguments->models,
-                 "models (.tosa, .tir) or model folders; without any, the device's roofs alone");
+                 fmt::format("models ({}) or model folders; without any, the device's roofs alone",
+                             kModelKinds));
   app.add_option("--repeat", arguments->repeat, "runs; times are the median")
       ->check(CLI::Range(1, 10000));
   app.add_flag("--naive", arguments->naive,

@@ -8,7 +8,6 @@
 #include <csignal>
 #include <filesystem>
 
-#include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
 #include "ir/text/text.h"
 
@@ -182,13 +181,52 @@ Result<std::map<std::string, MeasuredConstants>> read_constants(const std::strin
   return std::map<std::string, MeasuredConstants>{{target, constants}};
 }
 
+void ImportArguments::add_to(CLI::App& app) {
+  app.add_option("--input-shape", input_shapes,
+                 "shape of a graph input, NAME=N,H,W,C (again for each input)")
+      ->allow_extra_args(false);  // what follows may be a file
+  app.add_option("--entry-point", entry_point,
+                 "graph of a .spv file, or graph segment of a .vgf file, that holds several");
+  app.add_option("--constant", constants,
+                 "bytes of an external constant of a .spv file, ID=FILE (again for each constant)")
+      ->allow_extra_args(false);
+}
+
+Result<ImportOptions> ImportArguments::options() const {
+  ImportOptions options;
+  options.entry_point = entry_point;
+  for (const std::string& text : input_shapes) {
+    SHALE_TRY(auto shape, parse_input_shape(text));
+    if (!options.input_shapes.insert(shape).second)
+      return bad_input("--input-shape", "\"{}\" has two shapes", shape.first);
+  }
+  for (const std::string& text : constants) {
+    uint32_t id = 0;
+    const char* const end = text.data() + text.size();
+    const auto [next, status] = std::from_chars(text.data(), end, id);
+    if (status != std::errc() || next == end || *next != '=')
+      return bad_input("--constant", "\"{}\" is not of the form ID=FILE", text);
+    SHALE_TRY(std::vector<uint8_t> bytes, read_file(std::string(next + 1, end)));
+    if (!options.constants.emplace(id, std::move(bytes)).second)
+      return bad_input("--constant", "constant {} has two files", id);
+  }
+  return options;
+}
+
+Result<Graph> import_graph(std::span<const uint8_t> bytes, const ImportOptions& options) {
+  SHALE_TRY(Graph graph, import_model(bytes, options));
+  if (options.input_shapes.empty()) return graph;
+  PassContext context;
+  context.input_shapes = options.input_shapes;
+  SHALE_TRY_VOID(run_pass(*find_pass("infer-shapes"), graph, context));
+  return graph;
+}
+
 void CompileArguments::add_to(CLI::App& app) {
+  import.add_to(app);
   std::string known;
   for (const DeviceProfile& profile : known_profiles())
     known += (known.empty() ? "" : ", ") + std::string(profile.name);
-  app.add_option("--input-shape", input_shapes,
-                 "shape of a graph input, NAME=N,H,W,C (again for each input)")
-      ->allow_extra_args(false);
   app.add_option("--target", targets, "device classes, a variant each: " + known)
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -228,10 +266,8 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   if (!constants.empty()) {
     SHALE_TRY(options.constants, read_constants(constants));
   }
-  for (const std::string& text : input_shapes) {
-    SHALE_TRY(auto shape, parse_input_shape(text));
-    options.passes.input_shapes.insert(std::move(shape));
-  }
+  SHALE_TRY(options.import, import.options());
+  options.passes.input_shapes = options.import.input_shapes;
   options.pass_options.optimize = !no_passes;
   options.pass_options.verify_each = verify_each;
   options.require_proof = require_proof;

@@ -73,9 +73,27 @@ inline constexpr const char* kPrecisions[] = {"int8", "int16", "fp16", "fp32"};
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
                               const std::string& precision = "int8");
 
+/// The kinds of model files, for help texts.
+inline constexpr const char* kModelKinds = ".tosa, .tir, .vgf, .spv";
+
+/// Options that everything which reads models shares.
+struct ImportArguments {
+  std::vector<std::string> input_shapes, constants;
+  std::string entry_point;
+
+  void add_to(CLI::App& app);
+  /// Reads the files of the constants.
+  /// Errors: kIo; kBadInput for an option that cannot be understood.
+  Result<ImportOptions> options() const;
+};
+
+/// A model's graph; where input shapes are given, every type follows from them.
+/// Errors: those of import_model and infer_shapes.
+Result<Graph> import_graph(std::span<const uint8_t> bytes, const ImportOptions& options);
+
 /// Options that everything which compiles shares.
 struct CompileArguments {
-  std::vector<std::string> input_shapes;
+  ImportArguments import;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
   std::string frame, render, output, choices, constants, precision = "int8";

@@ -59,8 +59,9 @@ Result<int> compile_to_file(const Arguments& arguments) {
 
 Action add_compile(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("model", arguments->model,
-                 "model file (.tosa, .tir) or a folder with model.tosa and frame.json")
+  app.add_option(
+         "model", arguments->model,
+         fmt::format("model file ({}) or a folder with model.tosa and frame.json", kModelKinds))
       ->required();
   app.add_option("-o,--output", arguments->output, "package to write")->required();
   arguments->compile.add_to(app);

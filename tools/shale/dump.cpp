@@ -1,5 +1,6 @@
 // shale dump: a model as text, a package as a listing, its shaders as assembly.
-#include "compiler/frontend/frontend.h"
+#include "compiler/frontend/spirv_graph/spirv_graph.h"
+#include "compiler/frontend/vgf/vgf.h"
 #include "compiler/spirv/check.h"
 #include "ir/base/file.h"
 #include "ir/text/text.h"
@@ -10,6 +11,7 @@ namespace {
 
 struct Arguments {
   std::string file, output;
+  ImportArguments import;
   std::string what = "text";
   uint32_t variant = 0;
   int32_t module = -1;
@@ -107,6 +109,156 @@ Dump package_dump(const Package& package) {
   return dump;
 }
 
+Json number_or_null(uint32_t number) { return number == kVgfNone ? Json() : Json(number); }
+
+Json slots_json(const std::vector<VgfSlot>& slots) {
+  Json list = Json::array();
+  for (const VgfSlot& slot : slots)
+    list.push_back({{"binding", slot.binding}, {"mrt_index", slot.resource}});
+  return list;
+}
+
+Json vgf_header_json(const Vgf& vgf, const VgfLayout& layout) {
+  const auto section = [](const VgfLayout::Section& s) {
+    return Json{{"offset", s.offset}, {"size", s.size}};
+  };
+  return {{"header",
+           {{"magic", layout.old_magic ? "C3D2E1F0" : "VGF1"},
+            {"vk_header_version", vgf.vk_header_version},
+            {"version", vgf.version}}},
+          {"sections",
+           {{"module_table", section(layout.modules)},
+            {"model_sequence", section(layout.sequence)},
+            {"model_resource_table", section(layout.resources)},
+            {"constants", section(layout.constants)}}},
+          {"constants_tag", layout.legacy_constants ? Json() : Json("CONST00")}};
+}
+
+Json module_json(const VgfModule& module) {
+  Json json{{"type", vgf_name(module.type)},
+            {"name", module.name},
+            {"entry_point", module.entry_point},
+            {"code", vgf_name(module.code)}};
+  if (!module.source.empty()) {
+    json["chars"] = module.source.size();
+    json["source_text"] = module.source;
+  }
+  if (module.words.empty()) return json;
+  json["words"] = module.words.size();
+  json["spirv_header"] = {{"magic", fmt::format("{:#010x}", module.words[0])},
+                          {"version", fmt::format("{:#010x}", module.words[1])},
+                          {"bound", module.words[3]}};
+  return json;
+}
+
+Json resource_json(const VgfResource& resource) {
+  Json json{{"vk_descriptor_type", number_or_null(resource.descriptor_type)},
+            {"vk_format", resource.format},
+            {"category", vgf_name(resource.category)},
+            {"shape", resource.shape},
+            {"strides", resource.strides}};
+  if (const std::optional<VgfSampler>& s = resource.sampler)
+    json["sampler_config"] = {{"min_filter", s->min_filter},
+                              {"mag_filter", s->mag_filter},
+                              {"address_mode_u", s->address_mode_u},
+                              {"address_mode_v", s->address_mode_v},
+                              {"border_color", s->border_color}};
+  json["alias_group_id"] = number_or_null(resource.alias_group);
+  return json;
+}
+
+Json constant_json(const Vgf& vgf, const VgfLayout& layout, size_t index) {
+  const VgfConstant& constant = vgf.constants[index];
+  Json json{{"mrt_index", constant.resource},
+            {"sparsity_dimension", constant.sparsity_dimension},
+            {"size", constant.bytes.size()}};
+  if (constant.sparsity_dimension >= 0)
+    json["sparsity_holds"] = check_sparsity(vgf, index).has_value();
+  if (!layout.legacy_constants) json["payload_offset"] = layout.payload_offsets[index];
+  std::string first;
+  for (size_t i = 0; i < std::min<size_t>(constant.bytes.size(), 16); ++i)
+    first += fmt::format("{:02x}", constant.bytes[i]);
+  json["first_bytes_hex"] = first;
+  return json;
+}
+
+Json segment_json(const VgfSegment& segment) {
+  Json sets = Json::array(), ranges = Json::array();
+  for (size_t i = 0; i < segment.sets.size(); ++i)
+    sets.push_back({{"set_index_field", number_or_null(segment.sets[i].set_index)},
+                    {"set_index_effective", segment.set_number(i)},
+                    {"bindings", slots_json(segment.sets[i].bindings)}});
+  for (const VgfPushConstants& range : segment.push_constants)
+    ranges.push_back(
+        {{"stage_flags", range.stage_flags}, {"offset", range.offset}, {"size", range.size}});
+  return {{"type", vgf_name(segment.type)},       {"name", segment.name},
+          {"module_index", segment.module},       {"set_infos", sets},
+          {"inputs", slots_json(segment.inputs)}, {"outputs", slots_json(segment.outputs)},
+          {"constants", segment.constants},       {"dispatch_shape", segment.dispatch},
+          {"push_constant_ranges", ranges}};
+}
+
+Result<Dump> vgf_dump(std::span<const uint8_t> bytes) {
+  VgfLayout layout;
+  SHALE_TRY(const Vgf vgf, read_vgf(bytes, &layout));
+  Dump dump{dump_vgf(vgf, &layout), vgf_header_json(vgf, layout)};
+  Json& json = dump.json;
+  for (const char* list : {"modules", "resources", "constants", "segments"})
+    json[list] = Json::array();
+  for (const VgfModule& module : vgf.modules) json["modules"].push_back(module_json(module));
+  for (const VgfResource& resource : vgf.resources)
+    json["resources"].push_back(resource_json(resource));
+  for (size_t i = 0; i < vgf.constants.size(); ++i)
+    json["constants"].push_back(constant_json(vgf, layout, i));
+  for (const VgfSegment& segment : vgf.segments) json["segments"].push_back(segment_json(segment));
+  json["model"] = {{"inputs", slots_json(vgf.inputs)},
+                   {"outputs", slots_json(vgf.outputs)},
+                   {"input_names", vgf.input_names},
+                   {"output_names", vgf.output_names}};
+  return dump;
+}
+
+/// The entry points as comments of the text form, then the graph where it can be read.
+Result<Dump> spirv_dump(std::span<const uint8_t> bytes, const ImportOptions& import) {
+  SHALE_TRY(const std::vector<SpirvEntryPoint> entries, list_spirv_entry_points(bytes));
+  std::string text;
+  Json list = Json::array();
+  for (const SpirvEntryPoint& entry : entries) {
+    text += fmt::format("# entry point \"{}\"\n", entry.name);
+    Json json{{"name", entry.name}};
+    const auto add = [&](const char* what, const std::vector<SpirvEntryPoint::Slot>& slots) {
+      json[what] = Json::array();
+      for (const SpirvEntryPoint::Slot& slot : slots) {
+        const std::string type =
+            slot.ranked ? type_text(slot.type)
+                        : std::string(dtype_info(slot.type.dtype).name) + " of unknown rank";
+        text += fmt::format("#   {}: set {} binding {} {} \"{}\"\n", what, slot.set, slot.binding,
+                            type, slot.name);
+        json[what].push_back(
+            {{"name", slot.name}, {"set", slot.set}, {"binding", slot.binding}, {"type", type}});
+      }
+    };
+    add("inputs", entry.inputs);
+    add("outputs", entry.outputs);
+    json["constants"] = Json::array();
+    for (size_t i = 0; i < entry.constant_ids.size(); ++i) {
+      const std::string type = type_text(entry.constant_types[i]);
+      text += fmt::format("#   constants: {} {}\n", entry.constant_ids[i], type);
+      json["constants"].push_back({{"id", entry.constant_ids[i]}, {"type", type}});
+    }
+    list.push_back(std::move(json));
+  }
+  const Result<Graph> graph = import_graph(bytes, import);
+  Dump dump = graph ? graph_dump(*graph) : Dump();
+  if (!graph) {
+    text += fmt::format("# {}\n", graph.error().text());
+    dump.json["graph_error"] = graph.error().text();
+  }
+  dump.text = text + dump.text;
+  dump.json["entry_points"] = std::move(list);
+  return dump;
+}
+
 Result<Dump> shader_dump(const Variant& variant, int32_t module) {
   Dump dump;
   for (size_t i = 0; i < variant.modules.size(); ++i) {
@@ -123,11 +275,16 @@ Result<Dump> shader_dump(const Variant& variant, int32_t module) {
 Result<Dump> dump_file(const Arguments& arguments) {
   SHALE_TRY(const std::vector<uint8_t> bytes, read_file(arguments.file));
   if (!is_package(bytes)) {
-    if (arguments.what != "text")
+    if (arguments.what != "text" && arguments.what != "graph")
       return bad_input("--what", "\"{}\" needs a package, the file is a model", arguments.what);
-    SHALE_TRY(const Graph graph, import_model(bytes));
+    if (arguments.what == "text" && is_vgf(bytes)) return vgf_dump(bytes);
+    SHALE_TRY(const ImportOptions import, arguments.import.options());
+    if (arguments.what == "text" && is_spirv(bytes)) return spirv_dump(bytes, import);
+    SHALE_TRY(const Graph graph, import_graph(bytes, import));
     return graph_dump(graph);
   }
+  if (arguments.what == "graph")
+    return bad_input("--what", "\"graph\" needs a model, the file is a package");
   SHALE_TRY(const Package package, read_package(bytes));
   if (arguments.what == "text") return package_dump(package);
   if (arguments.variant >= package.variants.size())
@@ -154,15 +311,22 @@ Result<int> dump(const Arguments& arguments) {
 
 Action add_dump(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("file", arguments->file, "model (.tosa, .tir) or package (.shale)")->required();
+  app.add_option("file", arguments->file,
+                 fmt::format("model ({}) or package (.shale)", kModelKinds))
+      ->required();
   app.add_option("-o,--output", arguments->output, "write to a file instead of the terminal");
-  app.add_option("--what", arguments->what,
-                 "text: the graph or the package; memory: the arena; spirv: the shaders")
-      ->check(CLI::IsMember({"text", "memory", "spirv"}));
+  app.add_option(
+         "--what", arguments->what,
+         "text: the graph, package or container; graph: the graph alone; memory: the arena; "
+         "spirv: the shaders")
+      ->check(CLI::IsMember({"text", "graph", "memory", "spirv"}));
+  arguments->import.add_to(app);
   app.add_option("--variant", arguments->variant, "variant of the package");
   app.add_option("--module", arguments->module, "only this shader module");
   app.add_flag("--json", arguments->json, "print as JSON");
-  app.footer("Example: shale dump srpo.shale --what memory");
+  app.footer(
+      "Example: shale dump srpo.shale --what memory\n"
+      "         shale dump network.vgf --what graph");
   return [arguments] { return dump(*arguments); };
 }
 

@@ -153,7 +153,7 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
   sandwich.name = model.name;
   sandwich.package = std::move(compiled.package);
   if (model.bytes.empty()) return sandwich;
-  SHALE_TRY(sandwich.graph, import_model(model.bytes));
+  SHALE_TRY(sandwich.graph, import_model(model.bytes, options.import));
   SHALE_TRY_VOID(match_shapes(*sandwich.graph, sandwich.package.variants.front()));
   return sandwich;
 }

@@ -107,7 +107,7 @@ Result<int> report_files(const ReportArguments& arguments) {
         if (!arguments.measured.empty() && arguments.files.size() > 1)
           return bad_input("--measured", "belongs to one package, found {} files",
                            arguments.files.size());
-        if (!arguments.compile.input_shapes.empty() || !arguments.compile.render.empty())
+        if (!arguments.compile.import.input_shapes.empty() || !arguments.compile.render.empty())
           return bad_input("--input-shape, --render", "{} is a package, its shapes are fixed",
                            path);
         const Result<Json> report = report_package(path, bytes, arguments);
@@ -159,16 +159,16 @@ Action add_report(CLI::App& app) {
   CLI::Option_group& what =
       *app.add_option_group("What to report", "files, or a table of published figures");
   what.add_option("file", arguments->files,
-                  "models, model folders, packages (.shale); two of a kind are compared, too");
+                  fmt::format("models ({}), model folders, packages (.shale); two of a kind are "
+                              "compared, too",
+                              kModelKinds));
   CLI::Option* const table =
       what.add_option("--cost-table", arguments->cost_table,
                       "count the layers of a table of published figures and compare");
   what.require_option(1);
   app.add_option("--row", arguments->row, "only this row of the table, with its graph")
       ->needs(table);
-  app.add_option("--input-shape", compile.input_shapes,
-                 "shape of a model's input, NAME=N,H,W,C (again for each input)")
-      ->allow_extra_args(false);  // what follows is a file
+  compile.import.add_to(app);
   app.add_option("--precision", compile.precision, "of a model folder: int8, int16, fp16 or fp32")
       ->check(
           CLI::IsMember(std::vector<std::string>(std::begin(kPrecisions), std::end(kPrecisions))));

@@ -69,7 +69,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
         return bad_input("--check", "a package holds no graph; name its model with --model");
       if (!arguments.check_model.empty()) {
         SHALE_TRY(const ModelFiles model, load_model(arguments.check_model, ""));
-        SHALE_TRY(graph, import_model(model.bytes));
+        SHALE_TRY(const ImportOptions import, arguments.compile.import.options());
+        SHALE_TRY(graph, import_model(model.bytes, import));
       }
       Result<Package> package = read_package(bytes);
       if (!package) return in_file(arguments.file, package.error());
@@ -157,7 +158,8 @@ Result<int> run(const Arguments& arguments) {
 
 Action add_run(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("file", arguments->file, "model (.tosa, .tir), model folder, or package (.shale)")
+  app.add_option("file", arguments->file,
+                 fmt::format("model ({}), model folder, or package (.shale)", kModelKinds))
       ->required();
   app.add_option("--input", arguments->inputs, "NAME=FILE.npy for each graph input")
       ->allow_extra_args(false);

@@ -116,7 +116,8 @@ Result<int> run(const Arguments& arguments) {
 
 Action add_tune(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
-  app.add_option("model", arguments->model, "model (.tosa, .tir) or model folder")->required();
+  app.add_option("model", arguments->model, fmt::format("model ({}) or model folder", kModelKinds))
+      ->required();
   app.add_option("-o,--output", arguments->output, "file for the choices (JSON)")->required();
   app.add_option("--repeat", arguments->repeat, "runs; times are the median")
       ->check(CLI::Range(1, 10000));
