@@ -334,6 +334,25 @@ TEST(Vgf, SectionsMayBeginAtOddMultiplesOfFour) {
   EXPECT_EQ(read->resources, vgf.resources);
 }
 
+TEST(Vgf, VectorsOfEightByteNumbersMayLieAtOddMultiplesOfFour) {
+  // A resource table with one entry of shape [5, 6], whose elements begin at byte 68.
+  const std::vector<uint32_t> words{
+      12,         0x00080006, 4,            // vtable: a field at 4
+      8,          4,          1,       16,  // root, vector of one entry
+      0x0008000C, 0,          4 << 16,      // vtable: field 3 at 4
+      12,         12,                       // the entry
+      0x00080006, 4,                        // vtable: a field at 4
+      8,          4,                        // its description
+      2,          5,          0,       6,  0};
+  std::array<Bytes, 4> parts = sections(must_write(Vgf()));
+  parts[2].resize(4 * words.size());
+  std::memcpy(parts[2].data(), words.data(), parts[2].size());
+  const Result<Vgf> read = read_vgf(assemble(parts));
+  ASSERT_TRUE(read) << read.error().text();
+  ASSERT_EQ(read->resources.size(), 1u);
+  EXPECT_EQ(read->resources[0].shape, (std::vector<int64_t>{5, 6}));
+}
+
 /// Sections of a file whose sequence is one root table with the fields that `fill` adds.
 std::array<Bytes, 4> with_sequence(
     const std::function<void(flatbuffers::FlatBufferBuilder&)>& fill) {

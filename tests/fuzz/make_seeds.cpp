@@ -2,6 +2,7 @@
 #include <filesystem>
 
 #include "compiler/frontend/spirv_graph/spirv_graph.h"
+#include "compiler/frontend/vgf/convert.h"
 #include "ir/base/file.h"
 #include "ir/binary/tosa.h"
 #include "ir/package/package.h"
@@ -49,8 +50,8 @@ Package small_package() {
 Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
   namespace fs = std::filesystem;
   std::error_code error;
-  for (const char* target :
-       {"tosa_fuzz", "tir_fuzz", "spirv_graph_fuzz", "package_fuzz", "pipeline_cache_fuzz"})
+  for (const char* target : {"tosa_fuzz", "tir_fuzz", "spirv_graph_fuzz", "vgf_fuzz",
+                             "package_fuzz", "pipeline_cache_fuzz"})
     fs::create_directories(fs::path(folder) / target, error);
   if (error) return io_error(folder, "cannot create: {}", error.message());
   const auto path = [&](const char* target, const std::string& name) {
@@ -62,6 +63,10 @@ Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
     const Result<Graph> graph = read_tosa(bytes);
     if (!graph) continue;
     SHALE_TRY_VOID(write_text(path("tir_fuzz", fmt::format("{}", i)), print_text(*graph)));
+    if (const Result<Vgf> vgf = graph_to_vgf(*graph)) {
+      SHALE_TRY(const std::vector<uint8_t> file, write_vgf(*vgf));
+      SHALE_TRY_VOID(write_file(path("vgf_fuzz", fmt::format("{}", i)), file));
+    }
     for (const bool external : {false, true}) {
       const auto module = write_spirv_graph(*graph, {.external_constants = external});
       if (!module) continue;  // not a legal graph
@@ -72,6 +77,9 @@ Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
     }
   }
   SHALE_TRY_VOID(write_file(path("package_fuzz", "small"), write_package(small_package())));
+  SHALE_TRY(const Vgf passes, package_to_vgf(small_package(), {.weights_as_inputs = true}));
+  SHALE_TRY(const std::vector<uint8_t> compute, write_vgf(passes));
+  SHALE_TRY_VOID(write_file(path("vgf_fuzz", "compute"), compute));
   vk::CacheIdentity identity;
   identity.vendor_id = 0x10005;
   return write_file(path("pipeline_cache_fuzz", "small"),

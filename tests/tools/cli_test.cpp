@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
 
@@ -61,8 +62,9 @@ class Cli : public testing::Test {
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
-  for (const char* command : {"compile", "run", "play", "report", "fit", "trade", "dump", "verify",
-                              "conform", "doctor", "diff", "scene", "eval", "bench", "tune"}) {
+  for (const char* command :
+       {"compile", "run", "play", "report", "fit", "trade", "dump", "convert", "verify", "conform",
+        "doctor", "diff", "scene", "eval", "bench", "tune"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -224,6 +226,127 @@ TEST_F(Cli, JsonIsJson) {
     EXPECT_EQ(outcome.exit, 0) << command;
     EXPECT_TRUE(nlohmann::json::accept(outcome.text)) << command << "\n" << outcome.text;
   }
+}
+
+TEST_F(Cli, ConvertWritesEveryFormatAndTheGraphStaysTheSame) {
+  // SPIR-V lists constants in the order of their use; from then on nothing moves.
+  ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file("first.spv")).exit, 0);
+  const std::string first = shale("dump " + file("first.spv") + " --what graph").text;
+  ASSERT_EQ(first.substr(0, 6), "graph ") << first;
+  std::string from = "first.spv";
+  for (const std::string to : {"a.tosa", "b.spv", "c.vgf", "d.tir", "e.vgf", "f.spv", "g.tosa"}) {
+    const Outcome outcome = shale("convert " + file(from) + " -o " + file(to));
+    ASSERT_EQ(outcome.exit, 0) << outcome.text;
+    EXPECT_EQ(shale("dump " + file(to) + " --what graph").text, first) << from << " to " << to;
+    EXPECT_EQ(shale("verify " + file(to)).exit, 0);
+    EXPECT_EQ(shale("report " + file(to)).exit, 0);
+    from = to;
+  }
+  // --to goes before the suffix, and the content before the name.
+  ASSERT_EQ(shale("convert " + file("c.vgf") + " --to tosa -o " + file("odd.vgf")).exit, 0);
+  EXPECT_EQ(read(file("odd.vgf")), read(file("g.tosa")));
+  const Outcome json = shale("convert " + file("odd.vgf") + " -o " + file("h.spv") + " --json");
+  const nlohmann::json summary = nlohmann::json::parse(json.text);
+  EXPECT_EQ(summary["from"], "tosa");
+  EXPECT_EQ(summary["to"], "spv");
+  EXPECT_EQ(summary["bytes"], read(file("h.spv")).size());
+  EXPECT_EQ(read(file("h.spv")), read(file("f.spv")));
+}
+
+TEST_F(Cli, ModelsInVgfAndSpirvRun) {
+  for (const std::string name : {"s.vgf", "s.spv"}) {
+    ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file(name)).exit, 0);
+    const Outcome outcome = shale("run " + file(name) + " --random 7 --check");
+    EXPECT_EQ(outcome.exit, 0) << outcome.text;
+    EXPECT_NE(outcome.text.find("output \"y\": equal to the interpreter"), std::string::npos);
+    EXPECT_EQ(shale("compile " + file(name) + " -o " + file("s.shale")).exit, 0);
+  }
+}
+
+TEST_F(Cli, ConvertNamesWhatItCannotDo) {
+  ASSERT_EQ(shale("compile " + file("small.tir") + " --kernels generic -o " + file("p.shale")).exit,
+            0);
+  ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file("s.vgf")).exit, 0);
+  const std::pair<std::string, std::string> refused[] = {
+      {"small.tir -o " + file("out.bin"),
+       "--to: \"bin\" is no format to write, expected one of: tosa, tir, vgf, spv"},
+      {"small.tir -o " + file("out"), "--to: \"\" is no format to write"},
+      {"p.shale -o " + file("out.tosa"), "a package becomes vgf only, found tosa"},
+      {"p.shale -o " + file("out.vgf"), "--weights-as-inputs"},
+      {"p.shale --weights-as-inputs --variant 1 -o " + file("out.vgf"),
+       "--variant: found 1, the package has 1"},
+      {"small.tir --weights-as-inputs -o " + file("out.vgf"), "the file is a model, not a package"},
+      {"small.tir --entry-point main -o " + file("out.vgf"), "--entry-point: found \"main\""},
+      {"s.vgf --entry-point other -o " + file("out.tosa"),
+       "--entry-point: found \"other\", which is the name of 0 graph segments"},
+      {"small.tir --constant 1 -o " + file("out.vgf"),
+       "--constant: \"1\" is not of the form ID=FILE"},
+      {"s.vgf --constant 1=" + file("small.tir") + " -o " + file("out.tosa"),
+       "--constant: the format holds its constants itself"},
+      {"absent.vgf -o " + file("out.tosa"), "absent.vgf: cannot open"}};
+  for (const auto& [arguments, expected] : refused) {
+    const Outcome outcome = shale("convert " + file(arguments));
+    EXPECT_EQ(outcome.exit, 1) << arguments << ": " << outcome.text;
+    EXPECT_NE(outcome.text.find(expected), std::string::npos) << arguments << ": " << outcome.text;
+  }
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder_))
+    EXPECT_NE(entry.path().filename().string().substr(0, 3), "out") << entry.path();
+  const Outcome package =
+      shale("convert " + file("p.shale") + " --weights-as-inputs -o " + file("p.vgf"));
+  EXPECT_EQ(package.exit, 0) << package.text;
+  EXPECT_EQ(shale("dump " + file("p.vgf")).exit, 0);
+  EXPECT_NE(shale("verify " + file("p.vgf")).text.find("has no graph segment"), std::string::npos);
+}
+
+TEST_F(Cli, DumpOfAVgfFileSaysWhatItsDescriptionSays) {
+  const fs::path golden = SHALE_SHARED_DIR "/golden/vgf";
+  if (!fs::exists(golden)) GTEST_SKIP() << golden << " is not there";
+  // Every field of the description that both have must be equal; lists must be as long.
+  const std::function<void(const nlohmann::json&, const nlohmann::json&, const std::string&)>
+      compare =
+          [&](const nlohmann::json& want, const nlohmann::json& found, const std::string& at) {
+            if (want.is_object()) {
+              for (const auto& [key, value] : want.items())
+                if (found.contains(key)) compare(value, found[key], at + "." + key);
+            } else if (want.is_array() && !want.empty() && want[0].is_object()) {
+              ASSERT_EQ(want.size(), found.size()) << at;
+              for (size_t i = 0; i < want.size(); ++i)
+                compare(want[i], found[i], at + "[" + std::to_string(i) + "]");
+            } else {
+              EXPECT_EQ(want, found) << at;
+            }
+          };
+  size_t files = 0;
+  for (const fs::directory_entry& entry : fs::directory_iterator(golden)) {
+    if (entry.path().extension() != ".vgf") continue;
+    const Outcome outcome = shale("dump " + entry.path().string() + " --json");
+    ASSERT_EQ(outcome.exit, 0) << outcome.text;
+    const nlohmann::json found = nlohmann::json::parse(outcome.text);
+    fs::path description = entry.path();
+    const nlohmann::json want = nlohmann::json::parse(read(description.replace_extension(".json")));
+    for (const char* key : {"header", "sections", "constants_tag", "modules", "resources",
+                            "constants", "segments", "model"})
+      EXPECT_TRUE(found.contains(key)) << key;
+    compare(want, found, entry.path().filename().string());
+    ++files;
+  }
+  EXPECT_GE(files, 3u);
+}
+
+TEST_F(Cli, DumpOfASpirvModuleListsItsEntryPoints) {
+  ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file("s.spv")).exit, 0);
+  const Outcome text = shale("dump " + file("s.spv"));
+  EXPECT_EQ(text.exit, 0);
+  EXPECT_EQ(text.text.substr(0, 14), "# entry point ") << text.text;
+  EXPECT_NE(text.text.find("#   inputs: set 0 binding 0 i8[1,4,4,1] \"x\""), std::string::npos)
+      << text.text;
+  write(file("again.tir"), text.text);
+  EXPECT_EQ(shale("dump " + file("again.tir")).text,
+            shale("dump " + file("s.spv") + " --what graph").text);
+  const nlohmann::json json =
+      nlohmann::json::parse(shale("dump " + file("s.spv") + " --json").text);
+  EXPECT_EQ(json["entry_points"][0]["outputs"][0]["name"], "y");
+  EXPECT_EQ(json["inputs"][0], "x");
 }
 
 TEST_F(Cli, ReportCountsTheSrpoParameters) {

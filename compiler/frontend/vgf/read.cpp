@@ -108,7 +108,9 @@ class Reader {
   Result<void> copy(const Vector<T>* source, std::vector<T>& target) {
     if (!source) return {};
     SHALE_TRY_VOID(take(source->size() * sizeof(T)));
-    target.assign(source->begin(), source->end());
+    // The verifier lets vectors of 8-byte elements begin at odd multiples of 4.
+    target.resize(source->size());
+    if (!target.empty()) std::memcpy(target.data(), source->Data(), target.size() * sizeof(T));
     return {};
   }
 
