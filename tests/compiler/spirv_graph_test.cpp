@@ -247,7 +247,7 @@ TEST(SpirvGraph, WritesTheWordsOfTheFormat) {
   EXPECT_EQ(std::vector<uint32_t>(words.begin(), words.begin() + 5),
             (std::vector<uint32_t>{0x07230203, 0x00010500, 0, 39, 0}));
   EXPECT_EQ(words.back(), 0x0001105Au);
-  EXPECT_EQ(disassemble_spirv(words), R"(OpCapability 1
+  EXPECT_EQ(spirv_text(words), R"(OpCapability 1
 OpCapability 39
 OpCapability 4174
 OpCapability 4191

@@ -170,7 +170,7 @@ inline std::vector<uint32_t> assemble_spirv(const std::string& text) {
 }
 
 /// The instructions of a well-formed module, a line each, with ids as numbers.
-inline std::string disassemble_spirv(const std::vector<uint32_t>& words) {
+inline std::string spirv_text(const std::vector<uint32_t>& words) {
   std::string text;
   for (size_t at = 5; at < words.size(); at += words[at] >> 16) {
     const size_t end = at + (words[at] >> 16);
