@@ -1,6 +1,6 @@
 #!/bin/sh
 # Measures the device at hand and writes tests/bench/RESULTS.md: layer classes by kernel_bench, networks by
-# shale bench, each against the roof that was measured in the same run. Takes about ten minutes on two cores.
+# shale bench, each against the roof that was measured in the same run. Takes about twenty minutes on two cores.
 #
 #   tests/bench/results.sh [BUILD_FOLDER]
 set -eu
@@ -8,7 +8,7 @@ cd "$(dirname "$0")/../.."
 build=${1:-build}
 out=tests/bench/RESULTS.md
 part=$(mktemp)
-trap 'rm -f "$part"' EXIT
+trap 'rm -f "$part" "$part.json"' EXIT
 
 {
   echo "# Benchmark results"
@@ -16,7 +16,8 @@ trap 'rm -f "$part"' EXIT
   echo "Written by \`tests/bench/results.sh\` on $(date -u +%Y-%m-%d), $(nproc) cores, $(sed -n 's/^PRETTY_NAME="\(.*\)"/\1/p' /etc/os-release)."
   echo "Times are medians of device timestamps after a warm-up; GOP/s counts 2 per multiply-accumulate of the direct form,"
   echo "requantization included; the naive kernel is the generic one, one invocation per output element. The roof is"
-  echo "float32 multiply and add in registers, the best of several shapes of code, measured just before and after each."
+  echo "float32 multiply and add in registers, the best of several shapes of code, measured around every run; times are taken to"
+  echo "the median roof, since the machine's speed moves."
   echo
   echo "## Layer classes"
   echo
@@ -24,18 +25,30 @@ trap 'rm -f "$part"' EXIT
   echo
   "$build/tools/shale" bench models/nss_v1_high --render 960x540 --start --naive --markdown
   echo
-  echo "### Sizes"
+  echo "### Sizes, and predictions"
   echo
-  echo "| NSS v1 HIGH | ms | GOP/s |"
-  echo "|---|---:|---:|"
-  for size in 240x136 480x272 960x544 1920x1088; do
-    "$build/tools/shale" bench models/nss_v1_high --render $size --json |
-      python3 -c "import json,sys; t=json.load(sys.stdin)['models'][0]['total']; print('| $size | %.1f | %.1f |' % (t['time_ms'], t['gop_per_s']))"
+  echo "The constants of the cost model are fitted to 320x180, 640x360 and 1280x720 (compiler/cost/README.md). \"Close\" is the"
+  echo "share of the time in dispatches that are predicted within 25 %."
+  echo
+  echo "| network | rendered | ms | predicted | | close | GOP/s | roof |"
+  echo "|---|---|---:|---:|---:|---:|---:|---:|"
+  for size in 240x136 480x270 960x540 1920x1080; do
+    for model in nss_v1_high nss_v1_low nss_v0_1 srpo_x2 srpo_x3; do
+      # The first run compiles, and leaves a warm processor and the driver's disk cache.
+      "$build/tools/shale" bench models/$model --render $size --repeat 1 --json >"$part.json"
+      "$build/tools/shale" bench models/$model --render $size --repeat 9 --json >"$part.json"
+      python3 - "$part.json" "$model" "$size" <<'END'
+import json, sys
+model = json.load(open(sys.argv[1]))["models"][0]
+t = model["total"]
+print("| %s | %s | %.1f | %.1f | %+.0f %% | %.0f %% | %.0f | %.0f |" % (sys.argv[2], sys.argv[3], t["time_ms"], t["predicted_ms"],
+      100 * (t["predicted_ms"] / t["time_ms"] - 1), 100 * t["close_share"], t["gop_per_s"], model["roof_gop_per_s"]))
+END
+    done
   done
-  "$build/tools/shale" bench models/nss_v1_low --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
-  "$build/tools/shale" bench models/nss_v0_1 --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
-  "$build/tools/shale" bench models/srpo_x2 --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
+  for model in nss_v1_low nss_v0_1 srpo_x2; do
+    "$build/tools/shale" bench models/$model --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
+  done
 } > "$part"
 mv "$part" "$out"
-trap - EXIT
 echo "wrote $out"
