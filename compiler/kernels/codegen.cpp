@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 
 namespace shale {
 namespace {
@@ -18,6 +19,8 @@ const char* memory_type(DType dtype) {
     case DType::kInt16: return "int16_t";
     case DType::kInt32: return "int";
     case DType::kInt48: return "int64_t";
+    case DType::kFp16: return "uint16_t";
+    case DType::kFp32: return "float";
     default: return "int8_t";
   }
 }
@@ -32,19 +35,39 @@ std::string narrow(const std::string& expression, DType dtype) {
 
 Codegen::Codegen(const GroupProblem& problem)
     : problem_(problem), graph_(*problem.graph), producers_(graph_.producers()) {
-  // INT48 may live in registers and literals alone, so bindings do not tell.
-  const auto is_int48 = [&](ValueId id) { return value(id).type.dtype == DType::kInt48; };
+  // INT48 and floats may live in registers and literals alone, so bindings do not tell.
+  const auto look_at = [&](ValueId id) {
+    int64_ = int64_ || value(id).type.dtype == DType::kInt48;
+    real_ = real_ || is_float(value(id).type.dtype);
+  };
   for (const NodeId id : problem.group.nodes) {
     const Node& node = graph_.node(id);
-    if (is_int48(node.output) || std::any_of(node.inputs.begin(), node.inputs.end(), is_int48))
-      int64_ = true;
+    look_at(node.output);
+    for (const ValueId input : node.inputs) look_at(input);
   }
 }
 
 std::string Codegen::literal(int64_t value, DType dtype) {
+  if (is_float(dtype)) return real_literal(bits_real(dtype, value));
   if (dtype == DType::kInt48) return fmt::format("int64_t({}l)", value);
   if (value == INT32_MIN) return "int(0x80000000u)";
   return value < 0 ? fmt::format("({})", value) : std::to_string(value);
+}
+
+std::string Codegen::real_literal(float value) {
+  // 17 digits name the float as a double, so that reading it rounds nothing.
+  if (std::isnormal(value) || (value == 0 && !std::signbit(value))) {
+    std::string text = fmt::format("{:.17g}", static_cast<double>(value));
+    if (text.find_first_of(".e") == std::string::npos) text += ".0";
+    return value < 0 ? "(" + text + ")" : text;
+  }
+  return fmt::format("uintBitsToFloat(0x{:08x}u)", std::bit_cast<uint32_t>(value));
+}
+
+std::string Codegen::extremum(const Node& node, const char* which, const std::string& a,
+                              const std::string& b) {
+  const bool ignore = node.attrs.get(Attr::kNanMode) == kIgnoreNan;
+  return fmt::format("{}_{}({}, {})", which, ignore ? "ignore" : "propagate", a, b);
 }
 
 std::string Codegen::linear(const Position& at, const Shape& shape) {
@@ -122,6 +145,8 @@ std::string Codegen::load(ValueId id, const Position& at) {
     return fmt::format("{}({})", function->second, fmt::join(full.coords, ", "));
   }
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, false);
+  if (source.type.dtype == DType::kFp16)
+    return fmt::format("from_half(uint(b{}.d[{}]))", binding, linear(at, source.type.shape));
   return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding,
                      linear(at, source.type.shape));
 }
@@ -140,12 +165,15 @@ std::string Codegen::operand(const Node& node, size_t index, const Position& at)
 std::string Codegen::store(ValueId id, const Position& at, const std::string& expression) {
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, true);
   const TensorType& type = value(id).type;
-  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape),
-                     memory_type(type.dtype), expression);
+  return fmt::format(
+      "  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape), memory_type(type.dtype),
+      type.dtype == DType::kFp16 ? fmt::format("to_half({})", expression) : expression);
 }
 
 std::string Codegen::elementwise(const Node& node, const Position& at) {
   const DType out = value(node.output).type.dtype;
+  if (node.op != Op::kSelect && (is_float(out) || is_float(value(node.inputs[0]).type.dtype)))
+    return real_elementwise(node, at);
   const std::string a = operand(node, 0, at);
   const auto b = [&] { return operand(node, 1, at); };
   const auto binary = [&](const char* symbol) { return fmt::format("({} {} {})", a, symbol, b()); };
@@ -252,6 +280,42 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
   SHALE_CHECK(false && "no elementwise operator");
 }
 
+std::string Codegen::real_elementwise(const Node& node, const Position& at) {
+  const DType in = value(node.inputs[0]).type.dtype, out = value(node.output).type.dtype;
+  const std::string a = operand(node, 0, at);
+  const auto b = [&] { return operand(node, 1, at); };
+  const auto binary = [&](const char* symbol) {
+    return rounded(fmt::format("({} {} {})", a, symbol, b()), out);
+  };
+  const auto compare = [&](const char* symbol) {
+    return fmt::format("int({} {} {})", a, symbol, b());
+  };
+  switch (node.op) {
+    case Op::kAdd: return binary("+");
+    case Op::kSub: return binary("-");
+    case Op::kMul: return binary("*");
+    case Op::kMaximum: return extremum(node, "max", a, b());
+    case Op::kMinimum: return extremum(node, "min", a, b());
+    case Op::kEqual: return compare("==");
+    case Op::kGreater: return compare(">");
+    case Op::kGreaterEqual: return compare(">=");
+    case Op::kAbs: return fmt::format("abs({})", a);
+    case Op::kNegate: return fmt::format("(-{})", a);
+    case Op::kSigmoid: return rounded(fmt::format("sigmoid({})", a), out);
+    case Op::kClamp:
+      return extremum(node, "min",
+                      extremum(node, "max", a, literal(node.attrs.get(Attr::kMinVal), in)),
+                      literal(node.attrs.get(Attr::kMaxVal), in));
+    case Op::kCast: {
+      if (is_float(out)) return rounded(is_float(in) ? a : fmt::format("float({})", a), out);
+      const IntRange range = dtype_range(out);
+      return fmt::format("to_int({}, {}, {})", a, literal(range.min), literal(range.max));
+    }
+    default: break;
+  }
+  SHALE_CHECK(false && "no elementwise operator of floats");
+}
+
 std::string Codegen::view(const Node& node, const Position& at) {
   const ValueId source = node.inputs[0];
   const Shape& from = value(source).type.shape;
@@ -331,7 +395,7 @@ void Codegen::epilogue(std::string& body, const Position& at, const std::string&
     const Node& node = graph_.node(id);
     if (op_kind(node) != OpKind::kElementwise) continue;
     const std::string local = fmt::format("e{}{}", node.output.index, suffix);
-    body += fmt::format("  {} {} = {};\n", register_type(value(node.output).type.dtype), local,
+    body += fmt::format("  {} = {};\n", declare(value(node.output).type.dtype, local),
                         elementwise(node, at));
     locals_[node.output] = local;
   }
@@ -341,6 +405,7 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
   std::string text = "#version 450\n#include \"int8.glsl\"\n#include \"requantize.glsl\"\n";
   text += "#include \"integer.glsl\"\n";
   if (int64_) text += "#include \"int64.glsl\"\n";
+  if (real_) text += "#include \"real.glsl\"\n";
   text += fmt::format("\nlayout({}) in;\n\n", local_size);
   for (size_t i = 0; i < bindings_.size(); ++i) {
     const KernelBinding& binding = bindings_[i];

@@ -17,7 +17,7 @@ struct Position {
 };
 
 /// Turns nodes into GLSL expressions. Registers hold BOOL, INT4, INT8, INT16 and INT32 as `int`,
-/// INT48 as `int64_t`. Values of the group that are computed already are found in `locals`.
+/// INT48 as `int64_t`, FP32 and FP16 as `float`; what computes an FP16 value rounds it. Values of the group that are computed already are found in `locals`.
 class Codegen {
  public:
   explicit Codegen(const GroupProblem& problem);
@@ -69,12 +69,26 @@ class Codegen {
   static Position split(const std::string& index, const Shape& shape);
   /// GLSL type of a register.
   static const char* register_type(DType dtype) {
-    return dtype == DType::kInt48 ? "int64_t" : "int";
+    return is_float(dtype) ? "float" : dtype == DType::kInt48 ? "int64_t" : "int";
   }
-  /// A decimal literal that GLSL accepts, the most negative int included.
+  /// Declares a register: floats keep the operations and the order that the code gives them.
+  static std::string declare(DType dtype, const std::string& name) {
+    return fmt::format("{}{} {}", is_float(dtype) ? "precise " : "", register_type(dtype), name);
+  }
+  /// A decimal literal that GLSL accepts, the most negative int included. A float is given by its bits.
   static std::string literal(int64_t value, DType dtype = DType::kInt32);
+  static std::string real_literal(float value);
+  /// `expression` (float) rounded to what `dtype`, FP32 or FP16, holds.
+  static std::string rounded(const std::string& expression, DType dtype) {
+    return dtype == DType::kFp16 ? fmt::format("round_half({})", expression) : expression;
+  }
+  /// A call of max_... or min_... of real.glsl by the node's NaN mode.
+  static std::string extremum(const Node& node, const char* which, const std::string& a,
+                              const std::string& b);
 
  private:
+  std::string real_elementwise(const Node& node, const Position& at);
+
   const GroupProblem& problem_;
   const Graph& graph_;
   std::vector<std::optional<NodeId>> producers_;
@@ -84,6 +98,7 @@ class Codegen {
   std::map<ValueId, std::string> view_functions_;
   std::string functions_;
   bool int64_ = false;
+  bool real_ = false;
   bool texel_tables_ = false;
 };
 

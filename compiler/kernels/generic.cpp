@@ -37,6 +37,23 @@ class HeadEmitter {
   const Shape& shape(size_t operand) const { return c_.value(node_.inputs[operand]).type.shape; }
   DType result() const { return c_.value(node_.output).type.dtype; }
   const char* accumulator() const { return Codegen::register_type(result()); }
+  bool is_real() const { return is_float(c_.value(node_.inputs[0]).type.dtype); }
+  std::string zero() const { return is_float(result()) ? "0.0" : Codegen::literal(0, result()); }
+  /// A register `acc` with this value.
+  std::string start(const std::string& value) const {
+    return fmt::format("  {} = {};\n", Codegen::declare(result(), "acc"), value);
+  }
+  /// The head's result from this expression; of an FP16 one rounded.
+  std::string finish(const std::string& value) const {
+    return fmt::format("  {} = {};\n", Codegen::declare(result(), "h"),
+                       Codegen::rounded(value, result()));
+  }
+  /// What a running max of floats starts from: lost against any number.
+  std::string lowest(const char* which) const {
+    if (node_.attrs.get(Attr::kNanMode) == kIgnoreNan) return "uintBitsToFloat(0x7fc00000u)";
+    return which == std::string_view("max") ? "uintBitsToFloat(0xff800000u)"
+                                            : "uintBitsToFloat(0x7f800000u)";
+  }
   std::string load(size_t operand, std::vector<std::string> coords) {
     return c_.load(node_.inputs[operand], {std::move(coords), {}});
   }
@@ -44,7 +61,7 @@ class HeadEmitter {
   std::string centred(size_t operand, std::vector<std::string> coords, size_t zp_operand) {
     const int64_t zp = c_.value(node_.inputs[zp_operand]).constant->get(0);
     const std::string x = load(operand, std::move(coords));
-    return zp == 0 ? x : fmt::format("({} - {})", x, Codegen::literal(zp));
+    return is_real() || zp == 0 ? x : fmt::format("({} - {})", x, Codegen::literal(zp));
   }
   static std::string loop(const std::string& name, int64_t count, const std::string& inner) {
     return fmt::format("  for (int {0} = 0; {0} < {1}; ++{0}) {{\n{2}  }}\n", name, count, inner);
@@ -70,7 +87,6 @@ class HeadEmitter {
       tap.push_back(fmt::format("k{}", axis));
     }
     std::string product;
-    const char* widen = result() == DType::kInt48 ? "int64_t" : "int";
     if (depthwise) {
       const int64_t multiplier = weight[3];
       in_at.push_back(fmt::format("({} / {})", oc, multiplier));
@@ -81,8 +97,8 @@ class HeadEmitter {
       tap.insert(tap.begin(), oc);
       tap.push_back("c");
     }
-    product =
-        fmt::format("    acc += {}({}) * {};\n", widen, centred(0, in_at, 3), centred(1, tap, 4));
+    product = fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, in_at, 3),
+                          centred(1, tap, 4));
     std::string code = depthwise ? product : loop("c", weight.back(), product);
     for (size_t axis = axes; axis-- > 0;) {
       const std::string& out = at_.coords[axis + 1];
@@ -100,7 +116,9 @@ class HeadEmitter {
       code = loop(fmt::format("k{}", axis), weight[first_kernel_axis + axis], position + code);
     }
     const std::string bias = load(2, {shape(2)[0] == 1 ? "0" : oc});
-    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(), bias, code);
+    // Integers start from the bias, which the driver finds no worse; a sum of floats ends with it.
+    if (is_real()) return start("0.0") + code + finish("(acc + " + bias + ")");
+    return start(bias) + code + finish("acc");
   }
 
   std::string matmul() {
@@ -108,8 +126,7 @@ class HeadEmitter {
     const std::string product =
         fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, {o[0], o[1], "c"}, 2),
                     centred(1, {o[0], "c", o[2]}, 3));
-    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(),
-                       Codegen::literal(0, result()), loop("c", shape(0)[2], product));
+    return start(zero()) + loop("c", shape(0)[2], product) + finish("acc");
   }
 
   std::string pool() {
@@ -119,15 +136,21 @@ class HeadEmitter {
     const std::span<const int64_t> pad = node_.attrs.list(Attr::kPad);
     const IntRange range = dtype_range(result());
     const std::vector<std::string> tap{at_.coords[0], "p0", "p1", at_.coords[3]};
+    const std::string larger = is_real() && !average
+                                   ? Codegen::extremum(node_, "max", "acc", load(0, tap))
+                                   : fmt::format("max(acc, {})", load(0, tap));
     std::string code = average ? fmt::format("    acc += {}; ++count;\n", centred(0, tap, 1))
-                               : fmt::format("    acc = max(acc, {});\n", load(0, tap));
+                               : fmt::format("    acc = {};\n", larger);
     for (size_t axis = 2; axis-- > 0;) {
       const std::string position = fmt::format(
           "    int p{0} = {1} * {2} - {3} + k{0};\n    if (uint(p{0}) >= {4}u) continue;\n", axis,
           at_.coords[axis + 1], stride[axis], pad[2 * axis], shape(0)[axis + 1]);
       code = loop(fmt::format("k{}", axis), kernel[axis], position + code);
     }
-    if (!average) return fmt::format("  int acc = {};\n{}  int h = acc;\n", range.min, code);
+    if (!average)
+      return start(is_real() ? lowest("max") : std::to_string(range.min)) + code + finish("acc");
+    if (is_real())
+      return start("0.0") + "  int count = 0;\n" + code + finish("(acc / float(count))");
     c_.use_int64();
     const int64_t zp = c_.value(node_.inputs[2]).constant->get(0);
     return fmt::format(
@@ -147,6 +170,17 @@ class HeadEmitter {
           "  int u{0} = max(q{0}, 0);\n  int v{0} = min(q{0} + 1, {5});\n",
           axis, at_.coords[axis + 1], scale[2 * axis + 1], Codegen::literal(offset[axis]),
           scale[2 * axis], shape(0)[axis + 1] - 1);
+    if (is_real()) {
+      for (size_t axis = 0; axis < 2; ++axis)
+        code += fmt::format("  precise float d{0} = float(f{0}) / {1}.0, n{0} = 1.0 - d{0};\n",
+                            axis, scale[2 * axis]);
+      code += start("0.0");
+      for (const auto& [y, wy] : {std::pair{"u0", "n0"}, std::pair{"v0", "d0"}})
+        for (const auto& [x, wx] : {std::pair{"u1", "n1"}, std::pair{"v1", "d1"}})
+          code += fmt::format("  acc += {} * {} * {};\n",
+                              load(0, {at_.coords[0], y, x, at_.coords[3]}), wy, wx);
+      return code + finish("acc");
+    }
     const auto term = [&](const char* y, const char* x, const std::string& weight_y,
                           const std::string& weight_x) {
       return fmt::format("{}({}) * {} * {}", accumulator(),
@@ -170,7 +204,7 @@ class HeadEmitter {
     const std::string take =
         fmt::format("    if ({} == {}) acc = {};\n", load(1, {at_.coords[0], "w"}), at_.coords[1],
                     load(2, {at_.coords[0], "w", at_.coords[2]}));
-    return fmt::format("  int acc = {};\n{}  int h = acc;\n", load(0, at_.coords),
+    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(), load(0, at_.coords),
                        loop("w", shape(1)[1], take));
   }
 
@@ -179,6 +213,16 @@ class HeadEmitter {
     std::vector<std::string> coords = at_.coords;
     coords.insert(coords.begin() + static_cast<std::ptrdiff_t>(axis), "k");
     const std::string element = load(0, coords);
+    if (is_real()) {
+      const bool ignore = node_.attrs.get(Attr::kNanMode) == kIgnoreNan;
+      const std::string wins = ignore ? "x > best || (is_nan(best) && !is_nan(x))"
+                                      : "!is_nan(best) && (x > best || is_nan(x))";
+      return fmt::format(
+          "  int h = 0;\n  float best = {};\n{}", lowest("max"),
+          loop("k", shape(0)[axis],
+               fmt::format("    float x = {};\n    if (k == 0 || {}) {{ best = x; h = k; }}\n",
+                           element, wins)));
+    }
     return fmt::format(
         "  int h = 0;\n  int best = {};\n{}", dtype_range(c_.value(node_.inputs[0]).type.dtype).min,
         loop("k", shape(0)[axis],
@@ -190,26 +234,28 @@ class HeadEmitter {
     std::vector<std::string> coords = at_.coords;
     coords[axis] = "k";
     const std::string x = load(0, coords);
-    std::string start = "0", step;
+    std::string first = zero(), step;
     switch (node_.op) {
       case Op::kReduceSum: step = "acc + " + x; break;
       case Op::kReduceAny: step = "acc | " + x; break;
       case Op::kReduceAll:
-        start = "1";
+        first = "1";
         step = "acc & " + x;
         break;
       case Op::kReduceMax:
-        start = Codegen::literal(dtype_range(result()).min);
-        step = fmt::format("max(acc, {})", x);
+        first = is_real() ? lowest("max") : Codegen::literal(dtype_range(result()).min);
+        step =
+            is_real() ? Codegen::extremum(node_, "max", "acc", x) : fmt::format("max(acc, {})", x);
         break;
       case Op::kReduceMin:
-        start = Codegen::literal(dtype_range(result()).max);
-        step = fmt::format("min(acc, {})", x);
+        first = is_real() ? lowest("min") : Codegen::literal(dtype_range(result()).max);
+        step =
+            is_real() ? Codegen::extremum(node_, "min", "acc", x) : fmt::format("min(acc, {})", x);
         break;
       default: SHALE_CHECK(false && "no reduction");
     }
-    return fmt::format("  int acc = {};\n{}  int h = acc;\n", start,
-                       loop("k", shape(0)[axis], fmt::format("    acc = {};\n", step)));
+    return start(first) + loop("k", shape(0)[axis], fmt::format("    acc = {};\n", step)) +
+           finish("acc");
   }
 
   Codegen& c_;

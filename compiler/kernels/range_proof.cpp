@@ -67,6 +67,7 @@ std::optional<RangeProof> prove_ranges(const Graph& graph, const Group& group) {
   if (!depthwise && node.op != Op::kConv2d && node.op != Op::kConv3d &&
       node.op != Op::kTransposeConv2d)
     return std::nullopt;
+  if (is_float(graph.value(node.output).type.dtype)) return std::nullopt;
   const Value& weight = graph.value(node.inputs[1]);
   const Value& bias = graph.value(node.inputs[2]);
   if (!weight.is_constant() || !bias.is_constant()) return std::nullopt;

@@ -25,6 +25,7 @@ bool passes_through(const Graph& graph, const Node& node) {
       return std::is_sorted(perms.begin(), perms.end());
     }
     case Op::kClamp: {
+      if (!is_integer(from.dtype)) return false;
       const IntRange range = dtype_range(from.dtype);
       return node.attrs.get(Attr::kMinVal) <= range.min &&
              node.attrs.get(Attr::kMaxVal) >= range.max;

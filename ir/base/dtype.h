@@ -68,6 +68,11 @@ inline constexpr bool is_integer(DType dtype) {
          dtype == DType::kInt32 || dtype == DType::kInt48;
 }
 
+/// The floating-point types that Shale computes with.
+inline constexpr bool is_float(DType dtype) {
+  return dtype == DType::kFp32 || dtype == DType::kFp16;
+}
+
 /// Smallest and largest value of an integer or boolean type. INT4 is -7..7, as TOSA 1.0 has it.
 struct IntRange {
   int64_t min = 0;

@@ -166,7 +166,7 @@ class Reader {
       return read_constant(where, result, source.op() == tosa::Op::CONST);
     }
     const std::optional<Op> op = op_from_wire(number);
-    if (!op) return unsupported(where, "the operator is outside the integer profile");
+    if (!op) return unsupported(where, "the operator is not supported");
     const OpInfo& info = op_info(*op);
     if (operand_count < info.min_operands || operand_count > info.max_operands)
       return bad_input(where, "has {} operands, expected {} to {}", operand_count,

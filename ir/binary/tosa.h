@@ -12,8 +12,8 @@ namespace shale {
 /// True if the bytes carry the file identifier "TOSA".
 bool is_tosa(std::span<const uint8_t> bytes);
 
-/// Reads an untrusted file: versions 1.0 and 1.1, one region with one block, operators of the
-/// integer profile. Constants are decoded, unused tensors dropped. The result is well formed (ids
+/// Reads an untrusted file: versions 1.0 and 1.1, one region with one block, the operators
+/// of ops.def. Constants are decoded, unused tensors dropped. The result is well formed (ids
 /// in range, names unique, producers first) but not checked by the operators' rules: that is
 /// verify's part.
 /// Errors: kBadInput for a broken file, kUnsupported for what TOSA has and Shale has

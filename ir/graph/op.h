@@ -43,7 +43,7 @@ enum class AttrKind : uint8_t {
   kInt,           ///< int32
   kBool,          ///< ubyte, 0 or 1
   kIntList,       ///< [int32]
-  kElement,       ///< [ubyte]: one element of the operand's type
+  kElement,       ///< [ubyte]: one element of the operand's type; the bits of a float
   kDType,         ///< uint32, a DType
   kResizeMode,    ///< uint32: 1 nearest, 2 bilinear
   kNanMode,       ///< uint32: 1 propagate, 2 ignore
@@ -77,6 +77,7 @@ std::optional<Attr> attr_from_name(std::string_view name);
 std::span<const std::string_view> attr_value_names(AttrKind kind);
 
 inline constexpr int64_t kNearest = 1, kBilinear = 2;
+inline constexpr int64_t kPropagateNan = 1, kIgnoreNan = 2;
 inline constexpr int64_t kSingleRound = 1, kInexactRound = 2, kDoubleRound = 3;
 
 /// Attribute values of a node. A scalar is a list of one; an absent attribute reads as 0 or empty.

@@ -1,5 +1,7 @@
 #include "ir/graph/tensor.h"
 
+#include "ir/base/half.h"
+
 namespace shale {
 
 std::string shape_text(const Shape& shape) {
@@ -59,6 +61,33 @@ void Tensor::set(int64_t index, int64_t value) {
 std::vector<int64_t> Tensor::ints() const {
   std::vector<int64_t> values(static_cast<size_t>(count()));
   for (size_t i = 0; i < values.size(); ++i) values[i] = get(static_cast<int64_t>(i));
+  return values;
+}
+
+int64_t real_bits(DType dtype, float value) {
+  return dtype == DType::kFp16 ? static_cast<int16_t>(float_to_half(value))
+                               : std::bit_cast<int32_t>(value);
+}
+
+float bits_real(DType dtype, int64_t bits) {
+  return dtype == DType::kFp16 ? half_to_float(static_cast<uint16_t>(bits))
+                               : std::bit_cast<float>(static_cast<int32_t>(bits));
+}
+
+float Tensor::real(int64_t index) const { return bits_real(type.dtype, get(index)); }
+
+void Tensor::set_real(int64_t index, float value) { set(index, real_bits(type.dtype, value)); }
+
+Tensor Tensor::from_reals(TensorType type, std::span<const float> values) {
+  Tensor tensor{std::move(type), {}};
+  tensor.bytes.resize(values.size() * static_cast<size_t>(tensor.host_bytes()));
+  for (size_t i = 0; i < values.size(); ++i) tensor.set_real(static_cast<int64_t>(i), values[i]);
+  return tensor;
+}
+
+std::vector<float> Tensor::reals() const {
+  std::vector<float> values(static_cast<size_t>(count()));
+  for (size_t i = 0; i < values.size(); ++i) values[i] = real(static_cast<int64_t>(i));
   return values;
 }
 

@@ -1,4 +1,5 @@
-// ir/reference/eval_conv.cpp -- convolutions and matmul as exact dot products of 16-bit factors.
+// ir/reference/eval_conv.cpp -- convolutions and matmul: of integers as exact dot products of 16-bit
+// factors, of floats as sums in a fixed order.
 //
 // All four convolutions run one loop: for each output position the window is gathered into a patch
 // of (input - zero point), 0 outside the input, and every output channel is a dot product with its
@@ -7,7 +8,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "ir/reference/eval.h"
+#include "ir/reference/real.h"
 
 namespace shale {
 namespace {
@@ -118,16 +119,25 @@ std::vector<int16_t> weight_rows(const Eval& node, const Conv& conv) {
   return rows;
 }
 
-/// The window of one output position, as [group][tap][channel of the group].
-void gather_patch(const Eval& node, const Conv& conv, int64_t batch,
-                  const std::array<int64_t, 3>& position, std::vector<int16_t>& patch) {
+/// Zero point taken off the channels of a pixel.
+auto centred_pixel(const Eval& node) {
+  return [&node, zero_point = static_cast<int16_t>(node.scalar(3))](int64_t begin, int64_t count,
+                                                                    int64_t step, int16_t* out) {
+    subtract(node.in(0), begin, count, zero_point, step, out);
+  };
+}
+
+/// The window of one output position, as [group][tap][channel of the group]; 0 outside the input.
+/// copy(first element, channels, step, out) gives the channels of a pixel.
+template <typename T, typename Copy>
+void gather_patch(const Conv& conv, int64_t batch, const std::array<int64_t, 3>& position,
+                  const Copy& copy, std::vector<T>& patch) {
   const auto& [depth, height, width] = conv.axes;
-  const int16_t zero_point = static_cast<int16_t>(node.scalar(3));
   const bool grouped = conv.groups > 1;
   const int64_t channel_step = grouped ? conv.taps() : 1;
   const int64_t tap_step = grouped ? 1 : conv.in_channels;
-  std::ranges::fill(patch, int16_t{0});
-  int16_t* tap = patch.data();
+  std::ranges::fill(patch, T{0});
+  T* tap = patch.data();
   for (int64_t kz = 0; kz < depth.kernel; ++kz) {
     const auto z = depth.input(position[0], kz);
     for (int64_t ky = 0; ky < height.kernel; ++ky) {
@@ -136,18 +146,116 @@ void gather_patch(const Eval& node, const Conv& conv, int64_t batch,
         const auto x = width.input(position[2], kx);
         if (!z || !y || !x) continue;
         const int64_t pixel = ((batch * depth.in + *z) * height.in + *y) * width.in + *x;
-        subtract(node.in(0), pixel * conv.in_channels, conv.in_channels, zero_point, channel_step,
-                 tap);
+        copy(pixel * conv.in_channels, conv.in_channels, channel_step, tap);
       }
     }
   }
 }
 
+/// Where the position'th pixel of the result lies: [depth, height, width]; its batch.
+std::array<int64_t, 3> position_of(const Conv& conv, int64_t position, int64_t& batch) {
+  const auto& [depth, height, width] = conv.axes;
+  batch = position / (width.out * height.out * depth.out);
+  return {position / (width.out * height.out) % depth.out, position / width.out % height.out,
+          position % width.out};
+}
+
+template <typename T>
+std::vector<T> conv_sums(const Eval& node, const std::vector<T>& input,
+                         const std::vector<T>& weight, const std::vector<T>& bias) {
+  const Conv conv = describe(node);
+  const int64_t channels = conv.out_channels, row = conv.row();
+  // [row][oc], as depthwise weights are already: neighbouring sums then take neighbouring weights.
+  std::vector<T> by_row = weight;
+  if (node.op() != Op::kDepthwiseConv2d)
+    for (int64_t oc = 0; oc < channels; ++oc)
+      for (int64_t k = 0; k < row; ++k)
+        by_row[static_cast<size_t>(k * channels + oc)] = weight[static_cast<size_t>(oc * row + k)];
+  const int64_t outputs_a_group = channels / conv.groups;
+  const int64_t positions = *element_count(node.result_type().shape) / channels;
+  std::vector<T> sums(static_cast<size_t>(positions * channels));
+  // A tap outside the input adds nothing, not even where its weight is no number.
+  const auto compute = [&](int64_t begin, int64_t end) -> Result<void> {
+    std::vector<T> patch(static_cast<size_t>(row * conv.groups));
+    std::vector<uint8_t> inside(patch.size());
+    for (int64_t position = begin; position < end; ++position) {
+      int64_t batch = 0;
+      const std::array<int64_t, 3> at = position_of(conv, position, batch);
+      gather_patch(
+          conv, batch, at,
+          [&](int64_t first, int64_t count, int64_t step, T* out) {
+            for (int64_t i = 0; i < count; ++i)
+              out[i * step] = input[static_cast<size_t>(first + i)];
+          },
+          patch);
+      gather_patch(
+          conv, batch, at,
+          [&](int64_t, int64_t count, int64_t step, uint8_t* out) {
+            for (int64_t i = 0; i < count; ++i) out[i * step] = 1;
+          },
+          inside);
+      T* const sum = sums.data() + position * channels;
+      for (int64_t k = 0; k < row; ++k) {
+        const T* const weights = by_row.data() + k * channels;
+        if (conv.groups > 1) {
+          for (int64_t oc = 0; oc < channels; ++oc) {
+            const size_t tap = static_cast<size_t>(oc / outputs_a_group * row + k);
+            if (inside[tap] != 0) sum[oc] += patch[tap] * weights[oc];
+          }
+        } else if (inside[static_cast<size_t>(k)] != 0) {
+          const T x = patch[static_cast<size_t>(k)];
+          for (int64_t oc = 0; oc < channels; ++oc) sum[oc] += x * weights[oc];
+        }
+      }
+      for (int64_t oc = 0; oc < channels; ++oc)
+        sum[oc] += bias[bias.size() == 1 ? 0 : static_cast<size_t>(oc)];
+    }
+    return {};
+  };
+  // The body has no error.
+  static_cast<void>(parallel_for(positions, channels * row, compute));
+  return sums;
+}
+
+template <typename T>
+std::vector<T> matmul_sums(const Eval& node, const std::vector<T>& a, const std::vector<T>& b) {
+  const int64_t depth = node.shape(0)[2], rows = node.shape(0)[1], columns = node.shape(1)[2];
+  std::vector<T> sums(static_cast<size_t>(node.shape(0)[0] * rows * columns));
+  const auto compute = [&](int64_t begin, int64_t end) -> Result<void> {
+    for (int64_t row = begin; row < end; ++row)
+      for (int64_t k = 0; k < depth; ++k) {
+        const T factor = a[static_cast<size_t>(row * depth + k)];
+        const T* const other = b.data() + (row / rows * depth + k) * columns;
+        for (int64_t column = 0; column < columns; ++column)
+          sums[static_cast<size_t>(row * columns + column)] += factor * other[column];
+      }
+    return {};
+  };
+  static_cast<void>(parallel_for(node.shape(0)[0] * rows, columns * depth, compute));
+  return sums;
+}
+
 }  // namespace
+
+template <typename T>
+std::vector<T> real_sums(const Eval& node, const std::vector<T>& a, const std::vector<T>& b,
+                         const std::vector<T>& bias) {
+  return node.op() == Op::kMatmul ? matmul_sums(node, a, b) : conv_sums(node, a, b, bias);
+}
+template std::vector<float> real_sums(const Eval&, const std::vector<float>&,
+                                      const std::vector<float>&, const std::vector<float>&);
+template std::vector<double> real_sums(const Eval&, const std::vector<double>&,
+                                       const std::vector<double>&, const std::vector<double>&);
+
+Result<Tensor> eval_real_sums(const Eval& node) {
+  const std::vector<float> bias =
+      node.op() == Op::kMatmul ? std::vector<float>{} : node.in(2).reals();
+  return Tensor::from_reals(node.result_type(),
+                            real_sums(node, node.in(0).reals(), node.in(1).reals(), bias));
+}
 
 Result<Tensor> eval_conv(const Eval& node) {
   const Conv conv = describe(node);
-  const auto& [depth, height, width] = conv.axes;
   const std::vector<int16_t> weights = weight_rows(node, conv);
   const std::vector<int64_t> bias = node.in(2).ints();
   const int64_t block = exact_block(max_difference(node.in(0).type.dtype), 255);
@@ -158,10 +266,9 @@ Result<Tensor> eval_conv(const Eval& node) {
   const auto compute = [&](int64_t begin, int64_t end) -> Result<void> {
     std::vector<int16_t> patch(static_cast<size_t>(conv.row() * conv.groups));
     for (int64_t position = begin; position < end; ++position) {
-      const int64_t x = position % width.out, y = position / width.out % height.out;
-      const int64_t z = position / (width.out * height.out) % depth.out;
-      const int64_t batch = position / (width.out * height.out * depth.out);
-      gather_patch(node, conv, batch, {z, y, x}, patch);
+      int64_t batch = 0;
+      const std::array<int64_t, 3> at = position_of(conv, position, batch);
+      gather_patch(conv, batch, at, centred_pixel(node), patch);
       for (int64_t oc = 0; oc < conv.out_channels; ++oc) {
         const int64_t sum = bias[bias.size() == 1 ? 0 : static_cast<size_t>(oc)] +
                             dot(patch.data() + oc / outputs_a_group * conv.row(),

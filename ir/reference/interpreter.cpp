@@ -1,6 +1,6 @@
 #include "ir/reference/interpreter.h"
 
-#include "ir/reference/eval.h"
+#include "ir/reference/real.h"
 
 namespace shale {
 namespace {
@@ -24,6 +24,7 @@ EvalFunction eval_function(Op op) {
     case Op::kIdentity:
     case Op::kLogicalNot:
     case Op::kNegate:
+    case Op::kSigmoid:
     case Op::kTable: return eval_unary;
     case Op::kAdd:
     case Op::kArithmeticRightShift:
@@ -64,6 +65,38 @@ EvalFunction eval_function(Op op) {
   check_failed("every operator has an evaluation function", __FILE__, __LINE__);
 }
 
+/// For nodes with a float operand or result; null for those that only move elements about.
+EvalFunction real_function(const Node& node) {
+  switch (node.op) {
+    case Op::kConv2d:
+    case Op::kConv3d:
+    case Op::kDepthwiseConv2d:
+    case Op::kTransposeConv2d:
+    case Op::kMatmul: return eval_real_sums;
+    case Op::kAvgPool2d:
+    case Op::kMaxPool2d:
+    case Op::kReduceMax:
+    case Op::kReduceMin:
+    case Op::kReduceSum: return eval_real_terms;
+    case Op::kResize: return node.attrs.get(Attr::kMode) == kBilinear ? eval_real_terms : nullptr;
+    case Op::kArgmax: return eval_real_argmax;
+    case Op::kAbs:
+    case Op::kCast:
+    case Op::kClamp:
+    case Op::kNegate:
+    case Op::kSigmoid: return eval_real_unary;
+    case Op::kAdd:
+    case Op::kEqual:
+    case Op::kGreater:
+    case Op::kGreaterEqual:
+    case Op::kMaximum:
+    case Op::kMinimum:
+    case Op::kMul:
+    case Op::kSub: return eval_real_binary;
+    default: return nullptr;
+  }
+}
+
 Result<void> check_input(const Value& value, const Tensor& tensor) {
   const std::string where = fmt::format("input \"{}\"", value.name);
   if (tensor.type != value.type)
@@ -87,21 +120,28 @@ Result<Tensor> evaluate_node(const Graph& graph, NodeId id,
                              std::span<const Tensor* const> operands) {
   const Node& node = graph.node(id);
   SHALE_CHECK(operands.size() == node.inputs.size());
-  return eval_function(node.op)(Eval(graph, id, operands));
+  EvalFunction function = nullptr;
+  if (is_float(operands[0]->type.dtype) || is_float(graph.value(node.output).type.dtype))
+    function = real_function(node);
+  return (function ? function : eval_function(node.op))(Eval(graph, id, operands));
+}
+
+Result<void> check_inputs(const Graph& graph, std::span<const Tensor> inputs) {
+  if (inputs.size() != graph.inputs.size())
+    return bad_input(fmt::format("graph \"{}\"", graph.name), "got {} inputs, expected {}",
+                     inputs.size(), graph.inputs.size());
+  for (size_t i = 0; i < inputs.size(); ++i)
+    SHALE_TRY_VOID(check_input(graph.value(graph.inputs[i]), inputs[i]));
+  return {};
 }
 
 Result<std::vector<Tensor>> interpret(const Graph& graph, std::span<const Tensor> inputs,
                                       const InterpreterProgress& progress) {
-  if (inputs.size() != graph.inputs.size())
-    return bad_input(fmt::format("graph \"{}\"", graph.name), "got {} inputs, expected {}",
-                     inputs.size(), graph.inputs.size());
+  SHALE_TRY_VOID(check_inputs(graph, inputs));
   std::vector<const Tensor*> tensors(graph.values.size());
   for (size_t i = 0; i < graph.values.size(); ++i)
     if (graph.values[i].is_constant()) tensors[i] = &*graph.values[i].constant;
-  for (size_t i = 0; i < inputs.size(); ++i) {
-    SHALE_TRY_VOID(check_input(graph.value(graph.inputs[i]), inputs[i]));
-    tensors[graph.inputs[i].index] = &inputs[i];
-  }
+  for (size_t i = 0; i < inputs.size(); ++i) tensors[graph.inputs[i].index] = &inputs[i];
 
   // Results live until their last use, so a deep network of whole frames fits in memory.
   std::vector<Tensor> results(graph.values.size());

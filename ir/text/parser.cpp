@@ -144,6 +144,27 @@ class Parser {
     return value;
   }
 
+  /// The bits of a float of this type: a decimal number, inf, -inf, nan, or 0x and the bits.
+  Result<int64_t> real_element(DType dtype) {
+    skip_space();
+    const char* const end = text_.data() + text_.size();
+    const char* const start = text_.data() + at_;
+    if (text_.substr(at_).starts_with("0x")) {
+      uint32_t bits = 0;
+      const auto [stop, error] = std::from_chars(start + 2, end, bits, 16);
+      if (error != std::errc() || bits >> (dtype_info(dtype).bits - 1) > 1)
+        return fail(fmt::format("expected the {} bits of a float", dtype_info(dtype).bits));
+      at_ += static_cast<size_t>(stop - start);
+      return dtype == DType::kFp16 ? int64_t{static_cast<int16_t>(bits)}
+                                   : int64_t{static_cast<int32_t>(bits)};
+    }
+    float value = 0;
+    const auto [stop, error] = std::from_chars(start, end, value);
+    if (error != std::errc()) return fail("expected a number that fits float");
+    at_ += static_cast<size_t>(stop - start);
+    return real_bits(dtype, value);
+  }
+
   /// "[a,b,...]"; `open` also takes '?' for kDynamic.
   Result<std::vector<int64_t>> list(bool open) {
     SHALE_TRY_VOID(expect('['));
@@ -157,6 +178,18 @@ class Parser {
         if (open && value < 1) return fail(fmt::format("dimension {} is below 1", value));
         values.push_back(value);
       }
+    } while (accept(','));
+    SHALE_TRY_VOID(expect(']'));
+    return values;
+  }
+
+  Result<std::vector<int64_t>> real_list(DType dtype) {
+    SHALE_TRY_VOID(expect('['));
+    std::vector<int64_t> values;
+    if (accept(']')) return values;
+    do {
+      SHALE_TRY(const int64_t value, real_element(dtype));
+      values.push_back(value);
     } while (accept(','));
     SHALE_TRY_VOID(expect(']'));
     return values;
@@ -226,7 +259,8 @@ class Parser {
     skip_space();
     Tensor tensor{value_type, {}};
     if (peek() == '[') {
-      SHALE_TRY(const std::vector<int64_t> values, list(false));
+      SHALE_TRY(const std::vector<int64_t> values,
+                is_float(value_type.dtype) ? real_list(value_type.dtype) : list(false));
       if (static_cast<int64_t>(values.size()) != *count)
         return fail(fmt::format("found {} elements, {} has {}", values.size(),
                                 type_text(value_type), *count));
@@ -274,7 +308,7 @@ class Parser {
       result.attrs.set(attr, attr_info(attr).kind == AttrKind::kIntList ? std::vector<int64_t>{}
                                                                         : std::vector<int64_t>{0});
     if (accept('{')) {
-      do SHALE_TRY_VOID(attribute(info, result.attrs));
+      do SHALE_TRY_VOID(attribute(info, graph_.value(result.inputs[0]).type.dtype, result.attrs));
       while (accept(','));
       SHALE_TRY_VOID(expect('}'));
     }
@@ -290,7 +324,7 @@ class Parser {
     return {};
   }
 
-  Result<void> attribute(const OpInfo& op, Attrs& attrs) {
+  Result<void> attribute(const OpInfo& op, DType operand, Attrs& attrs) {
     const std::string_view attr_name = plain();
     const std::optional<Attr> attr = attr_from_name(attr_name);
     if (!attr || std::find(op.attrs.begin(), op.attrs.end(), *attr) == op.attrs.end())
@@ -301,6 +335,11 @@ class Parser {
     if (kind == AttrKind::kIntList) {
       SHALE_TRY(std::vector<int64_t> values, list(false));
       attrs.set(*attr, std::move(values));
+      return {};
+    }
+    if (kind == AttrKind::kElement && is_float(operand)) {
+      SHALE_TRY(const int64_t value, real_element(operand));
+      attrs.set(*attr, value);
       return {};
     }
     if (std::isalpha(static_cast<unsigned char>(peek())) == 0) {

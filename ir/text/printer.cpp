@@ -1,5 +1,7 @@
 #include <algorithm>
 #include <cctype>
+#include <charconv>
+#include <cmath>
 
 #include "ir/text/text.h"
 
@@ -37,7 +39,20 @@ std::string references(const Graph& graph, const std::vector<ValueId>& ids) {
   return text;
 }
 
-std::string attribute(const AttrInfo& info, std::span<const int64_t> values) {
+/// The shortest decimal that reads back as the same float; a NaN as its bits.
+std::string element(DType dtype, int64_t value) {
+  if (!is_float(dtype)) return std::to_string(value);
+  const float real = bits_real(dtype, value);
+  if (std::isnan(real))
+    return fmt::format(
+        "0x{:0{}x}", static_cast<uint64_t>(value) & (dtype == DType::kFp16 ? 0xffffu : 0xffffffffu),
+        2 * dtype_info(dtype).host_bytes);
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof(text), real).ptr};
+}
+
+/// `operand` is the element type of the node's first operand.
+std::string attribute(const AttrInfo& info, std::span<const int64_t> values, DType operand) {
   const std::span<const std::string_view> names = attr_value_names(info.kind);
   const int64_t value = values.empty() ? 0 : values[0];
   const bool in_range = value >= 0 && static_cast<size_t>(value) < names.size();
@@ -46,13 +61,17 @@ std::string attribute(const AttrInfo& info, std::span<const int64_t> values) {
   if (info.kind == AttrKind::kBool) return text + (value != 0 ? "true" : "false");
   if (info.kind == AttrKind::kDType && value >= 0 && is_dtype(static_cast<uint32_t>(value)))
     return text + std::string(dtype_info(static_cast<DType>(value)).name);
+  if (info.kind == AttrKind::kElement) return text + element(operand, value);
   if (in_range) return text + std::string(names[static_cast<size_t>(value)]);
   return text + std::to_string(value);
 }
 
 std::string constant(const Tensor& tensor) {
-  if (tensor.count() <= kMaxListedElements)
-    return fmt::format("[{}]", fmt::join(tensor.ints(), ","));
+  if (tensor.count() <= kMaxListedElements) {
+    std::vector<std::string> elements;
+    for (const int64_t value : tensor.ints()) elements.push_back(element(tensor.type.dtype, value));
+    return fmt::format("[{}]", fmt::join(elements, ","));
+  }
   std::string text = "hex \"";
   text.reserve(tensor.bytes.size() * 2 + 8);
   for (const uint8_t byte : tensor.bytes) {
@@ -83,7 +102,8 @@ std::string print_text(const Graph& graph) {
     for (const Attr attr : info.attrs)
       if (node.attrs.has(attr))
         attributes +=
-            (attributes.empty() ? "" : ", ") + attribute(attr_info(attr), node.attrs.list(attr));
+            (attributes.empty() ? "" : ", ") + attribute(attr_info(attr), node.attrs.list(attr),
+                                                         graph.value(node.inputs[0]).type.dtype);
     if (!attributes.empty()) text += " {" + attributes + "}";
     text += " : " + type_text(graph.value(node.output).type);
     if (node.group != 0) text += fmt::format(" @{}", node.group);

@@ -4,6 +4,7 @@
 //   graph main {
 //     input %input : i8[1,64,64,3]
 //     const %w : i8[16,5,5,3] = hex "00ff..."       host bytes, or a list: [1,-2,3]
+//     const %scale : f32[1] = [0.1]                 shortest decimals; inf, -inf; a NaN as 0x7fc00000
 //     const %size : shape[2] = [2,2]
 //     %acc = conv2d %input, %w, %b, %zp, %wzp {pad=[2,2,2,2], stride=[1,1], ...} : i32[1,64,64,16]
 //     @1 return %acc

@@ -23,7 +23,8 @@ IntRange attr_range(Attr attr, DType operand) {
     case AttrKind::kBool: return {0, 1};
     case AttrKind::kElement: return dtype_range(operand);
     case AttrKind::kDType: return {0, static_cast<int64_t>(kDTypes.size()) - 1};
-    case AttrKind::kNanMode: return {0, 2};  // without effect on integers, so unknown is no fault
+    // Without effect on integers, so unknown is no fault there.
+    case AttrKind::kNanMode: return {is_float(operand) ? kPropagateNan : 0, kIgnoreNan};
     case AttrKind::kResizeMode: return {kNearest, kBilinear};
     case AttrKind::kRoundingMode: return {kSingleRound, kDoubleRound};
     default: return dtype_range(DType::kInt32);
@@ -39,8 +40,9 @@ Result<void> check_type(const TensorType& type, const std::string& where) {
       return bad_input(where, "is {}, a shape value is a list", type_text(type));
     return {};
   }
-  if (!is_integer(type.dtype) && type.dtype != DType::kBool)
-    return unsupported(where, "is {}, but only the integer profile of TOSA is supported",
+  if (!is_integer(type.dtype) && !is_float(type.dtype) && type.dtype != DType::kBool)
+    return unsupported(where,
+                       "is {}, but of the floating-point types only f16 and f32 are supported",
                        type_text(type));
   if (static_cast<int64_t>(type.shape.size()) > kMaxRank)
     return unsupported(where, "is {} of rank {}, level 8K ends at rank {}", type_text(type),
@@ -151,6 +153,11 @@ Result<void> RuleContext::expect_zero_point(size_t i, DType of) const {
   SHALE_TRY_VOID(expect_type(i, {of, {1}}));
   const int64_t zero_point = operand(i).constant->get(0);
   if (zero_point == 0 || of == DType::kInt8) return {};
+  if (is_float(of)) {
+    const float real = operand(i).constant->real(0);
+    if (real == 0) return {};
+    return bad("{} is {}, expected 0: only int8 tensors have a zero point", describe(i), real);
+  }
   return bad("{} is {}, expected 0: only int8 tensors have a zero point", describe(i), zero_point);
 }
 
@@ -161,6 +168,14 @@ Result<void> RuleContext::expect_elements(size_t i, int64_t min, int64_t max) co
     if (const int64_t value = tensor.get(at); value < min || value > max)
       return bad("{} has {} at element {}, expected {} to {}", describe(i), value, at, min, max);
   return {};
+}
+
+Result<void> RuleContext::expect_acc_type(DType of, DType integer) const {
+  const DType acc_type = static_cast<DType>(attrs().get(Attr::kAccType));
+  const DType expected = is_float(of) ? DType::kFp32 : integer;
+  if (acc_type == expected || (of == DType::kFp16 && acc_type == DType::kFp16)) return {};
+  return bad("acc_type is {}, expected {}{} for {}", dtype_info(acc_type).wire,
+             of == DType::kFp16 ? "FP16 or " : "", dtype_info(expected).wire, describe(0));
 }
 
 Result<size_t> RuleContext::axis() const {

@@ -12,7 +12,9 @@ using DTypeSet = uint32_t;
 constexpr DTypeSet dtype_bit(DType dtype) { return DTypeSet{1} << static_cast<uint32_t>(dtype); }
 inline constexpr DTypeSet kBool = dtype_bit(DType::kBool), kI4 = dtype_bit(DType::kInt4),
                           kI8 = dtype_bit(DType::kInt8), kI16 = dtype_bit(DType::kInt16),
-                          kI32 = dtype_bit(DType::kInt32), kI48 = dtype_bit(DType::kInt48);
+                          kI32 = dtype_bit(DType::kInt32), kI48 = dtype_bit(DType::kInt48),
+                          kF16 = dtype_bit(DType::kFp16), kF32 = dtype_bit(DType::kFp32),
+                          kFloat = kF16 | kF32;
 constexpr bool contains(DTypeSet set, DType dtype) { return (set & dtype_bit(dtype)) != 0; }
 
 /// Limits of level 8K beside kMaxRank and kMaxElements.
@@ -73,10 +75,15 @@ class RuleContext {
   Result<void> expect_rank(size_t i, size_t rank) const;
   /// Operands first, first + 1, ... have the element type of operand `first`.
   Result<void> expect_same_dtype(size_t first) const;
-  /// A single element of the type of the tensor that it belongs to, 0 unless that is int8.
+  /// A single element of the type of the tensor that it belongs to, 0 unless that is int8; a float
+  /// zero point may be -0.
   Result<void> expect_zero_point(size_t i, DType of) const;
   /// Elements of operand i, if it is constant, are in min..max.
   Result<void> expect_elements(size_t i, int64_t min, int64_t max) const;
+
+  /// acc_type of a convolution or pool over operands of type `of`: INT32 for int8, INT48 for int16 in a
+  /// convolution, FP32 for float, FP16 too for fp16.
+  Result<void> expect_acc_type(DType of, DType integer) const;
 
   /// Attribute axis, an axis of operand 0.
   Result<size_t> axis() const;

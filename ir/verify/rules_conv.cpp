@@ -11,12 +11,14 @@ enum ConvOperand : size_t { kInput, kWeight, kBias, kInputZp, kWeightZp };
 struct ConvTypes {
   DType input;
   DType weight;
-  DType result;  ///< of bias and accumulator too
+  DType result;  ///< of the bias too, and of integer accumulators
 };
-constexpr std::array<ConvTypes, 3> kConvTypes{{
+constexpr std::array<ConvTypes, 5> kConvTypes{{
     {DType::kInt8, DType::kInt8, DType::kInt32},
     {DType::kInt8, DType::kInt4, DType::kInt32},
     {DType::kInt16, DType::kInt8, DType::kInt48},
+    {DType::kFp16, DType::kFp16, DType::kFp16},
+    {DType::kFp32, DType::kFp32, DType::kFp32},
 }};
 
 /// What all convolutions share: types, zero points, channels, bias. Returns the element type of the
@@ -27,12 +29,11 @@ Result<DType> conv_result_dtype(const RuleContext& node, int64_t weight_channels
     return types.input == node.dtype(kInput) && types.weight == node.dtype(kWeight);
   });
   if (row == kConvTypes.end())
-    return node.bad("{} and {}: expected element types i8 and i8, i8 and i4, or i16 and i8",
-                    node.describe(kInput), node.describe(kWeight));
-  const DType acc_type = static_cast<DType>(node.attrs().get(Attr::kAccType));
-  if (acc_type != row->result)
-    return node.bad("acc_type is {}, expected {} for {}", dtype_info(acc_type).wire,
-                    dtype_info(row->result).wire, node.describe(kInput));
+    return node.bad(
+        "{} and {}: expected element types i8 and i8, i8 and i4, i16 and i8, f16 and f16, or f32 "
+        "and f32",
+        node.describe(kInput), node.describe(kWeight));
+  SHALE_TRY_VOID(node.expect_acc_type(row->input, row->result));
   if (weight_channels != node.shape(kInput).back())
     return node.bad("{} expects {} input channels, found {} in {}", node.describe(kWeight),
                     weight_channels, node.shape(kInput).back(), node.describe(kInput));
@@ -104,7 +105,10 @@ Result<TensorType> rule_matmul(const RuleContext& node) {
   SHALE_TRY_VOID(node.expect_type(1, {node.dtype(0), {a[0], a[2], columns}}));
   SHALE_TRY_VOID(node.expect_zero_point(2, node.dtype(0)));
   SHALE_TRY_VOID(node.expect_zero_point(3, node.dtype(0)));
-  const DType dtype = node.dtype(0) == DType::kInt8 ? DType::kInt32 : DType::kInt48;
+  // FP16 alone has two result types, so the declared one decides.
+  DType dtype = node.dtype(0) == DType::kInt8 ? DType::kInt32 : DType::kInt48;
+  if (is_float(node.dtype(0)))
+    dtype = node.declared_result().dtype == DType::kFp32 ? DType::kFp32 : node.dtype(0);
   return TensorType{dtype, {a[0], a[1], columns}};
 }
 

@@ -40,7 +40,7 @@ Result<TensorType> rule_mul(const RuleContext& node) {
   SHALE_TRY_VOID(node.expect_type(2, {DType::kInt8, {1}}));
   SHALE_TRY_VOID(node.expect_elements(2, 0, node.dtype(0) == DType::kInt32 ? 63 : 0));
   SHALE_TRY(Shape shape, node.broadcast(0, 2));
-  return TensorType{DType::kInt32, std::move(shape)};
+  return TensorType{is_float(node.dtype(0)) ? node.dtype(0) : DType::kInt32, std::move(shape)};
 }
 
 Result<TensorType> rule_negate(const RuleContext& node) {
@@ -50,7 +50,7 @@ Result<TensorType> rule_negate(const RuleContext& node) {
 }
 
 Result<TensorType> rule_select(const RuleContext& node) {
-  SHALE_TRY_VOID(node.expect_dtype(1, kBool | kI8 | kI16 | kI32));
+  SHALE_TRY_VOID(node.expect_dtype(1, kBool | kI8 | kI16 | kI32 | kFloat));
   SHALE_TRY_VOID(node.expect_same_dtype(1));
   SHALE_TRY(Shape shape, node.broadcast(0));
   return TensorType{node.dtype(1), std::move(shape)};
@@ -58,6 +58,12 @@ Result<TensorType> rule_select(const RuleContext& node) {
 
 Result<TensorType> rule_clamp(const RuleContext& node) {
   const int64_t min = node.attrs().get(Attr::kMinVal), max = node.attrs().get(Attr::kMaxVal);
+  if (is_float(node.dtype(0))) {
+    const float low = bits_real(node.dtype(0), min), high = bits_real(node.dtype(0), max);
+    if (!(low <= high))
+      return node.bad("min_val {} and max_val {}: expected numbers in order", low, high);
+    return node.type(0);
+  }
   if (max < min) return node.bad("min_val {} is above max_val {}", min, max);
   return node.type(0);
 }
@@ -79,9 +85,14 @@ Result<TensorType> rule_table(const RuleContext& node) {
 
 Result<TensorType> rule_cast(const RuleContext& node) {
   const DType to = node.declared_result().dtype;
-  if (to == node.dtype(0) || !contains(kBool | kI8 | kI16 | kI32, to))
-    return node.bad("casts {} to {}, expected another type out of bool, i8, i16 and i32",
-                    node.describe(0), dtype_info(to).name);
+  const DTypeSet targets = kI8 | kI16 | kI32 | (node.dtype(0) == DType::kBool ? 0 : kFloat) |
+                           (is_float(node.dtype(0)) ? 0 : kBool);
+  if (to == node.dtype(0) || !contains(targets, to))
+    return node.bad(
+        "casts {} to {}, expected another type out of bool, i8, i16, i32, f16 and f32, and no cast "
+        "between "
+        "bool and a float",
+        node.describe(0), dtype_info(to).name);
   return TensorType{to, node.shape(0)};
 }
 

@@ -10,9 +10,7 @@ Result<TensorType> rule_pool(const RuleContext& node) {
   if (node.op() == Op::kAvgPool2d) {
     SHALE_TRY_VOID(node.expect_zero_point(1, node.dtype(0)));
     SHALE_TRY_VOID(node.expect_zero_point(2, node.dtype(0)));
-    const DType acc_type = static_cast<DType>(node.attrs().get(Attr::kAccType));
-    if (acc_type != DType::kInt32)
-      return node.bad("acc_type is {}, expected INT32", dtype_info(acc_type).wire);
+    SHALE_TRY_VOID(node.expect_acc_type(node.dtype(0), DType::kInt32));
   }
   SHALE_TRY(const auto kernel, node.list(Attr::kKernel, 2, 1, kMaxKernel));
   SHALE_TRY(const auto stride, node.list(Attr::kStride, 2, 1, kMaxStride));
@@ -71,7 +69,7 @@ Result<TensorType> rule_resize(const RuleContext& node) {
   }
   result.push_back(input[3]);
   DType dtype = node.dtype(0);
-  if (node.attrs().get(Attr::kMode) == kBilinear)
+  if (node.attrs().get(Attr::kMode) == kBilinear && !is_float(dtype))
     dtype = dtype == DType::kInt8 ? DType::kInt32 : DType::kInt48;
   return TensorType{dtype, result};
 }

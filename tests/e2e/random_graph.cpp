@@ -1,8 +1,10 @@
 #include "tests/e2e/random_graph.h"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 
+#include "ir/base/half.h"
 #include "ir/reference/interpreter.h"
 #include "ir/verify/verify.h"
 
@@ -22,12 +24,16 @@ constexpr int64_t kMaxTensorElements = 4000;
 
 /// How the elements of one tensor are spread.
 struct Spread {
-  enum Kind { kWhole, kBits, kLimits, kTiny } kind;
+  enum Kind { kWhole, kBits, kLimits, kTiny, kModerate, kExponents, kStrange } kind;
   int64_t bits;
 };
 
 Spread random_spread(Random& random, DType dtype) {
   const int64_t bits = dtype_info(dtype).bits;
+  if (is_float(dtype)) {
+    const int64_t draw = random.between(0, 19);
+    return {draw == 0 ? Spread::kStrange : draw < 4 ? Spread::kExponents : Spread::kModerate, 0};
+  }
   switch (random.between(0, 9)) {
     case 0: return {Spread::kLimits, 0};
     case 1: return {Spread::kTiny, 0};
@@ -50,13 +56,29 @@ int64_t random_element(Random& random, DType dtype, const Spread& spread) {
     }
     case Spread::kLimits: return random.pick(Ints{range.min, range.max, 0, range.min, range.max});
     case Spread::kTiny: return std::clamp(random.between(-2, 1), range.min, range.max);
+    case Spread::kModerate:
+      return real_bits(dtype, static_cast<float>(random.between(-4096, 4096)) / 1024.0f);
+    case Spread::kExponents: {
+      const int reach = dtype == DType::kFp16 ? 12 : 60;
+      return real_bits(dtype, std::ldexp(static_cast<float>(random.between(-2048, 2047)),
+                                         static_cast<int>(random.between(-reach, reach / 2)) - 11));
+    }
+    case Spread::kStrange: {
+      const float largest = dtype == DType::kFp16 ? kHalfMax : 0x1.fffffep127f;
+      const float subnormal = dtype == DType::kFp16 ? 0x1p-24f : 0x1p-149f;
+      const std::vector<float> values{
+          INFINITY, -INFINITY,           NAN,  largest, -largest, subnormal, -0.0f,
+          0.0f,     1000.0f * subnormal, 1.0f, -1.0f,   0.5f};
+      return real_bits(dtype, random.pick(values));
+    }
   }
   return 0;
 }
 
 class Builder {
  public:
-  Builder(uint64_t seed, RandomGraphCounts& counts) : random_(seed), counts_(counts) {}
+  Builder(uint64_t seed, RandomGraphCounts& counts, bool real)
+      : random_(seed), counts_(counts), real_(real), ops_(random_graph_ops(real)) {}
 
   RandomGraph build() {
     const int64_t wanted = random_.between(1, 8);
@@ -126,15 +148,18 @@ class Builder {
       if (last.dtype == DType::kInt32)
         return random_.pick(
             std::vector<Op>{Op::kRescale, Op::kRescale, Op::kRescale, Op::kAdd, Op::kMaximum});
+      if (is_float(last.dtype) && last.shape.size() == 4)
+        return random_.pick(std::vector<Op>{Op::kConv2d, Op::kConv2d, Op::kConv2d, Op::kClamp,
+                                            Op::kClamp, Op::kSigmoid, Op::kResize, Op::kPad,
+                                            Op::kConcat, Op::kAdd, Op::kMul, Op::kCast,
+                                            Op::kDepthwiseConv2d});
       if (last.dtype == DType::kInt8 && last.shape.size() == 4)
         return random_.pick(std::vector<Op>{Op::kConv2d, Op::kConv2d, Op::kConv2d, Op::kClamp,
                                             Op::kTable, Op::kResize, Op::kPad, Op::kConcat,
                                             Op::kRescale, Op::kDepthwiseConv2d});
     }
     if (graph_.nodes.empty() && random_.chance(35)) return Op::kConv2d;
-    return all_ops()[static_cast<size_t>(
-                         random_.between(0, static_cast<int64_t>(all_ops().size()) - 1))]
-        .op;
+    return random_.pick(ops_);
   }
 
   Maybe draw(Op op) {
@@ -167,6 +192,7 @@ class Builder {
       case Op::kIntDiv: return draw_intdiv();
       case Op::kMul: return draw_mul();
       case Op::kTable: return draw_table();
+      case Op::kSigmoid: return Draft{{}, {pick(kInts)}};
       case Op::kAbs:
       case Op::kClz: return Draft{{}, {pick({DType::kInt32})}};
       case Op::kBitwiseNot: return Draft{{}, {pick(kInts)}};
@@ -191,7 +217,7 @@ class Builder {
       case Op::kGather:
       case Op::kScatter: return draw_gather(op);
       case Op::kResize: return draw_resize();
-      case Op::kCast: return draw_cast(pick(kAny));
+      case Op::kCast: return draw_cast(pick_of(real_ ? kCastable : kAny, 0, 6));
       case Op::kRescale: return draw_rescale();
       case Op::kIdentity:
         return Draft{{},
@@ -254,7 +280,11 @@ class Builder {
 
   /// A value of one of the types and a rank in min..max: mostly a late one of the graph, else a
   /// leaf.
-  ValueId pick(const std::vector<DType>& dtypes, size_t min_rank = 0, size_t max_rank = 6) {
+  ValueId pick(const std::vector<DType>& integers, size_t min_rank = 0, size_t max_rank = 6) {
+    return pick_of(real_ && integers.front() != DType::kBool ? kReals : integers, min_rank,
+                   max_rank);
+  }
+  ValueId pick_of(const std::vector<DType>& dtypes, size_t min_rank, size_t max_rank) {
     std::vector<ValueId> found;
     for (uint32_t i = 0; i < graph_.values.size(); ++i) {
       const Value& value = graph_.values[i];
@@ -320,21 +350,34 @@ class Builder {
     Attrs attrs;
     attrs.set(Attr::kKernel, kernel).set(Attr::kStride, stride).set(Attr::kPad, pad);
     if (op == Op::kMaxPool2d) return Draft{nan(attrs), {x}};
-    attrs.set(Attr::kAccType, static_cast<int64_t>(DType::kInt32));
     const DType dtype = type(x).dtype;
+    attrs.set(Attr::kAccType, static_cast<int64_t>(accumulator(dtype, DType::kInt32)));
     return Draft{attrs, {x, zero_point(dtype), zero_point(dtype)}};
+  }
+
+  /// FP32, or for FP16 that too.
+  DType accumulator(DType dtype, DType integer) {
+    if (!is_float(dtype)) return integer;
+    return random_.chance(50) ? dtype : DType::kFp32;
   }
 
   /// Weight, bias and the two zero points; the result's element type goes into `acc_type`.
   std::vector<ValueId> conv_operands(ValueId x, Shape weight_shape, int64_t channels,
                                      DType& acc_type) {
-    const bool is_int16 = type(x).dtype == DType::kInt16;
+    const DType dtype = type(x).dtype;
+    if (is_float(dtype)) {
+      acc_type = accumulator(dtype, dtype);
+      const ValueId weight = random_leaf(dtype, weight_shape, 85);
+      const ValueId bias = random_leaf(dtype, {random_.chance(20) ? 1 : channels}, 85);
+      return {x, weight, bias, zero_point(dtype), zero_point(dtype)};
+    }
+    const bool is_int16 = dtype == DType::kInt16;
     acc_type = is_int16 ? DType::kInt48 : DType::kInt32;
     const DType weight_type = !is_int16 && random_.chance(12) ? DType::kInt4 : DType::kInt8;
     const Shape bias_shape{random_.chance(20) ? 1 : channels};
     const ValueId weight = random_leaf(weight_type, weight_shape, 85);
     const ValueId bias = random_leaf(acc_type, bias_shape, 85);
-    return {x, weight, bias, zero_point(type(x).dtype), zero_point(weight_type)};
+    return {x, weight, bias, zero_point(dtype), zero_point(weight_type)};
   }
 
   Maybe draw_conv(Op op) {
@@ -399,11 +442,23 @@ class Builder {
     const TensorType& left = type(a);
     const ValueId b = partner({left.dtype, {left.shape[0], left.shape[2], random_dim()}});
     const DType dtype = type(a).dtype;
-    return Draft{{}, {a, b, zero_point(dtype), zero_point(dtype)}};
+    return Draft{{},
+                 {a, b, zero_point(dtype), zero_point(dtype)},
+                 is_float(dtype) && random_.chance(50) ? DType::kFp32 : DType::kUnknown};
   }
 
   Maybe draw_clamp() {
     const ValueId x = pick({DType::kInt8, DType::kInt16});
+    if (is_float(type(x).dtype)) {
+      float ends[2] = {-INFINITY, INFINITY};
+      for (float& end : ends)
+        if (random_.chance(60)) end = static_cast<float>(random_.between(-8, 8)) / 4.0f;
+      if (ends[0] > ends[1]) std::swap(ends[0], ends[1]);
+      return Draft{nan(Attrs()
+                           .set(Attr::kMinVal, real_bits(type(x).dtype, ends[0]))
+                           .set(Attr::kMaxVal, real_bits(type(x).dtype, ends[1]))),
+                   {x}};
+    }
     const IntRange range = dtype_range(type(x).dtype);
     int64_t low = random_.chance(30) ? range.min : random_.between(range.min, range.max);
     int64_t high = random_.chance(30) ? range.max : random_.between(range.min, range.max);
@@ -487,7 +542,7 @@ class Builder {
   Maybe draw_select() {
     const ValueId condition = pick({DType::kBool});
     const Shape shape = type(condition).shape;
-    const DType dtype = random_.pick(kAny);
+    const DType dtype = random_.pick(real_ ? kReals : kAny);
     return Draft{{},
                  {condition, partner({dtype, broadcast_partner(shape)}), partner({dtype, shape})}};
   }
@@ -511,9 +566,12 @@ class Builder {
     Ints padding;
     for (size_t i = 0; i < 2 * type(x).shape.size(); ++i)
       padding.push_back(random_.chance(60) ? 0 : random_.between(1, 3));
-    const IntRange range = dtype_range(type(x).dtype);
+    const DType dtype = type(x).dtype;
+    const IntRange range = dtype_range(dtype);
     const int64_t value =
-        random_.pick(Ints{0, range.min, range.max, random_.between(range.min, range.max)});
+        is_float(dtype)
+            ? random_element(random_, dtype, random_spread(random_, dtype))
+            : random_.pick(Ints{0, range.min, range.max, random_.between(range.min, range.max)});
     return Draft{{}, {x, list(padding), constant(type(x).dtype, {1}, {value})}};
   }
 
@@ -602,6 +660,10 @@ class Builder {
 
   Maybe draw_cast(ValueId x) {
     std::vector<DType> others = kAny;
+    if (real_) {
+      others = {DType::kFp32, DType::kFp16,  DType::kFp32, DType::kFp16,
+                DType::kInt8, DType::kInt16, DType::kInt32};
+    }
     std::erase(others, type(x).dtype);
     return Draft{{}, {x}, random_.pick(others)};
   }
@@ -676,8 +738,14 @@ class Builder {
   inline static const std::vector<DType> kAny{DType::kBool, DType::kInt8, DType::kInt16,
                                               DType::kInt32};
 
+  inline static const std::vector<DType> kReals{DType::kFp32, DType::kFp16};
+  inline static const std::vector<DType> kCastable{DType::kFp32, DType::kFp16, DType::kInt8,
+                                                   DType::kInt16, DType::kInt32};
+
   Random random_;
   RandomGraphCounts& counts_;
+  bool real_;
+  std::vector<Op> ops_;
   Graph graph_;
   std::vector<Tensor> tensors_;  ///< data of each value
 };
@@ -692,8 +760,24 @@ Tensor random_tensor(Random& random, const TensorType& type) {
   return tensor;
 }
 
-RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts) {
-  return Builder(seed, counts).build();
+std::vector<Op> random_graph_ops(bool real) {
+  std::vector<Op> ops;
+  for (const OpInfo& info : all_ops()) ops.push_back(info.op);
+  const auto drop = [&](std::initializer_list<Op> list) {
+    for (const Op op : list) std::erase(ops, op);
+  };
+  if (real)
+    drop({Op::kArithmeticRightShift, Op::kBitwiseAnd, Op::kBitwiseNot, Op::kBitwiseOr,
+          Op::kBitwiseXor, Op::kClz, Op::kIntDiv, Op::kLogicalLeftShift, Op::kLogicalRightShift,
+          Op::kRescale, Op::kTable, Op::kLogicalAnd, Op::kLogicalOr, Op::kLogicalXor,
+          Op::kLogicalNot, Op::kReduceAll, Op::kReduceAny});
+  else
+    drop({Op::kSigmoid});
+  return ops;
+}
+
+RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts, bool real) {
+  return Builder(seed, counts, real).build();
 }
 
 }  // namespace shale

@@ -1,5 +1,5 @@
-// tests/e2e/random_graph.h -- seeded random graphs over the whole integer profile, at the extremes
-// of shapes and attributes.
+// tests/e2e/random_graph.h -- seeded random graphs over the whole integer profile, or over what floats
+// can do, at the extremes of shapes and attributes.
 #pragma once
 
 #include <cstdint>
@@ -28,7 +28,8 @@ class Random {
   std::mt19937_64 engine_;
 };
 
-/// Data over the whole type, near zero, or at the limits; which of them is drawn too.
+/// Data over the whole type, near zero, or at the limits; which of them is drawn too. Floats are mostly
+/// of moderate size; else of any exponent, or infinite, NaN, subnormal and the largest there is.
 Tensor random_tensor(Random& random, const TensorType& type);
 
 struct RandomGraph {
@@ -45,7 +46,11 @@ struct RandomGraphCounts {
 };
 
 /// Nodes are drawn one by one and evaluated at once; one that is illegal or without a result is
-/// drawn again, so every graph is predictable for its inputs. Adds to `counts`.
-RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts);
+/// drawn again, so every graph is predictable for its inputs. Adds to `counts`. With `real`, values are
+/// FP32 and FP16, beside what comparisons and casts give.
+RandomGraph random_graph(uint64_t seed, RandomGraphCounts& counts, bool real = false);
+
+/// The operators that such graphs are drawn from.
+std::vector<Op> random_graph_ops(bool real);
 
 }  // namespace shale

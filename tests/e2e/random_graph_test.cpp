@@ -2,6 +2,9 @@
 // after the pass pipeline, and the device with passes must agree bit for bit; so must the device
 // with the same nodes unfused, and for every fourth graph the device without passes.
 //
+// With --real the graphs are of FP32 and FP16; the interpreter after the passes gives the same bits, and
+// the devices' results lie in the bounds of ir/reference/bounds.h, as the interpreter's own do.
+//
 // A graph's seed is its number: `random_graph_test --seed 1234 --count 1` repeats one that failed.
 #include "tests/e2e/random_graph.h"
 
@@ -10,7 +13,7 @@
 #include <memory>
 
 #include "compiler/driver/compile.h"
-#include "ir/reference/interpreter.h"
+#include "ir/reference/bounds.h"
 #include "ir/text/text.h"
 #include "ir/verify/verify.h"
 #include "tools/shale/device_run.h"
@@ -24,18 +27,27 @@ struct Arguments {
   uint64_t seed = 1;
   uint64_t count = 1000;
   uint64_t validated = 0;
+  bool real = false;
+};
+
+/// What a device should give.
+struct Expected {
+  std::vector<Tensor> values;
+  std::vector<Bounds> bounds;  ///< empty: exactly the values
 };
 
 /// What did not hold, or nothing.
 using Failure = std::optional<std::string>;
 
 Failure compare(const char* what, const Result<std::vector<Tensor>>& found,
-                const std::vector<Tensor>& expected) {
+                const Expected& expected) {
   if (!found) return fmt::format("{}: {}", what, found.error().text());
-  if (found->size() != expected.size())
-    return fmt::format("{}: {} outputs, expected {}", what, found->size(), expected.size());
-  for (size_t i = 0; i < expected.size(); ++i)
-    if (const auto difference = first_difference((*found)[i], expected[i]))
+  if (found->size() != expected.values.size())
+    return fmt::format("{}: {} outputs, expected {}", what, found->size(), expected.values.size());
+  for (size_t i = 0; i < expected.values.size(); ++i)
+    if (const auto difference = expected.bounds.empty()
+                                    ? first_difference((*found)[i], expected.values[i])
+                                    : first_outside((*found)[i], expected.bounds[i]))
       return fmt::format("{}: output {}: {}", what, i, *difference);
   return std::nullopt;
 }
@@ -64,13 +76,22 @@ class Checker {
       return "the raw graph: " + verified.error().text();
     const Result<std::vector<Tensor>> raw = interpret(random.graph, random.inputs);
     if (!raw) return "the interpreter: " + raw.error().text();
-    const std::vector<Tensor>& expected = *raw;
+    Expected expected{*raw, {}};
 
     const Result<Compiled> compiled = compile_graph(random.graph, 0, options(true, turn));
     if (!compiled) return "compiling with passes: " + compiled.error().text();
     if (const auto failure = compare("the interpreter after the passes",
                                      interpret(compiled->graph, random.inputs), expected))
       return failure;
+    if (has_reals(random.graph)) {
+      Result<std::vector<Bounds>> bounds = interpret_bounds(random.graph, random.inputs);
+      if (!bounds) return "the bounds: " + bounds.error().text();
+      expected.bounds = *std::move(bounds);
+      for (const Bounds& output : expected.bounds)
+        for (const Bound& bound : output) ++elements, anything += bound.is_anything();
+      if (const auto failure = compare("the interpreter against its bounds", raw, expected))
+        return failure;
+    }
     if (const auto failure = run("the device with passes", *compiled, random, expected))
       return failure;
 
@@ -90,11 +111,12 @@ class Checker {
   }
 
   uint64_t fused = 0;
+  uint64_t elements = 0, anything = 0;      ///< of bounds; those that bound nothing
   std::map<std::string, uint64_t> kernels;  ///< dispatches of each family
 
  private:
   Failure run(const char* what, const Compiled& compiled, const RandomGraph& random,
-              const std::vector<Tensor>& expected) {
+              const Expected& expected) {
     // What the runtime gets is what a file holds.
     const Result<Package> package = read_package(write_package(compiled.package));
     if (!package)
@@ -112,7 +134,7 @@ int run(const Arguments& arguments) {
              arguments.seed + arguments.count - 1, arguments.validated);
   RandomGraphCounts counts;
   std::map<std::string, uint64_t> kernels;
-  uint64_t failures = 0, fused = 0;
+  uint64_t failures = 0, fused = 0, elements = 0, anything = 0;
   std::unique_ptr<ToolDevice> device;
   for (uint64_t i = 0; i < arguments.count; ++i) {
     const bool validated = i < arguments.validated;
@@ -126,12 +148,12 @@ int run(const Arguments& arguments) {
       device = std::make_unique<ToolDevice>(*std::move(opened));
     }
     const uint64_t seed = arguments.seed + i;
-    const RandomGraph random = random_graph(seed, counts);
+    const RandomGraph random = random_graph(seed, counts, arguments.real);
     Checker checker(*device);
     Failure failure = checker.check(random, seed % 4 == 0, seed);
     const std::vector<std::string> messages = device->take_validation_messages();
     if (!failure && !messages.empty()) failure = "validation: " + messages.front();
-    fused += checker.fused;
+    fused += checker.fused, elements += checker.elements, anything += checker.anything;
     for (const auto& [name, count] : checker.kernels) kernels[name] += count;
     if (!failure) continue;
     ++failures;
@@ -144,9 +166,16 @@ int run(const Arguments& arguments) {
       drawn, counts.kept, 100.0 * static_cast<double>(counts.illegal) / static_cast<double>(drawn),
       100.0 * static_cast<double>(counts.unpredictable) / static_cast<double>(drawn), fused);
   for (const auto& [name, count] : kernels) fmt::print("{} dispatches of {}\n", count, name);
-  for (const OpInfo& info : all_ops()) {
-    fmt::print("{} {}\n", counts.ops[info.op], info.name);
-    if (arguments.count >= 500 && counts.ops[info.op] == 0) {
+  if (arguments.real)
+    fmt::print("{} elements bounded, {:.1f} % by nothing\n", elements,
+               100.0 * static_cast<double>(anything) / static_cast<double>(elements));
+  if (arguments.real && anything * 4 > elements) {
+    fmt::print("FAILED: the bounds say too little\n");
+    ++failures;
+  }
+  for (const Op op : random_graph_ops(arguments.real)) {
+    fmt::print("{} {}\n", counts.ops[op], op_info(op).name);
+    if (arguments.count >= 500 && counts.ops[op] == 0) {
       fmt::print("FAILED: no graph has this operator\n");
       ++failures;
     }
@@ -167,6 +196,7 @@ int main(int count, char** values) {
   app.add_option("--count", arguments.count, "number of graphs")->envname("SHALE_RANDOM_COUNT");
   app.add_option("--validated", arguments.validated,
                  "how many of them run under the validation layer");
+  app.add_flag("--real", arguments.real, "graphs of floats");
   CLI11_PARSE(app, count, values);
   return shale::run(arguments);
 }

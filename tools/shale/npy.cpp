@@ -18,6 +18,8 @@ std::string_view descr_of(DType dtype) {
     case DType::kInt8: return "|i1";
     case DType::kInt16: return "<i2";
     case DType::kInt32: return "<i4";
+    case DType::kFp16: return "<f2";
+    case DType::kFp32: return "<f4";
     default: return "<i8";
   }
 }

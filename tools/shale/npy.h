@@ -10,7 +10,7 @@ namespace shale {
 
 /// Reads an untrusted file as a tensor of `type`: the shape must be equal, and the element type
 /// must be the one that golden/tosa/README.md gives for type.dtype (BOOL bool, INT4 and INT8 int8,
-/// INT16 int16, INT32 int32, INT48 int64).
+/// INT16 int16, INT32 int32, INT48 int64), FP16 float16, FP32 float32.
 /// Errors: kIo, kBadInput; both name the file.
 Result<Tensor> read_npy(const std::string& path, const TensorType& type);
 

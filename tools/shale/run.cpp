@@ -4,7 +4,7 @@
 
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
-#include "ir/reference/interpreter.h"
+#include "ir/reference/bounds.h"
 #include "tools/shale/command.h"
 #include "tools/shale/device_run.h"
 #include "tools/shale/npy.h"
@@ -24,9 +24,14 @@ struct Arguments {
   bool check = false, profile = false, json = false;
 };
 
-/// Values over the whole range of the type, the same on every machine for a seed.
+/// Values over the whole range of the type, of a float in -4..4; the same on every machine for a seed.
 Tensor random_tensor(const TensorType& type, std::mt19937_64& generator) {
   Tensor tensor = Tensor::zeros(type);
+  if (is_float(type.dtype)) {
+    for (int64_t i = 0; i < tensor.count(); ++i)
+      tensor.set_real(i, static_cast<float>(generator() % 8193) / 1024.0f - 4.0f);
+    return tensor;
+  }
   const IntRange range = dtype_range(type.dtype);
   const uint64_t span = static_cast<uint64_t>(range.max - range.min) + 1;
   for (int64_t i = 0; i < tensor.count(); ++i)
@@ -106,12 +111,20 @@ Result<int> run(const Arguments& arguments) {
   if (arguments.check) {
     SHALE_TRY_VOID(match_shapes(*graph, variant));
     Progress progress("interpreting");
-    SHALE_TRY(const std::vector<Tensor> expected,
-              interpret(*graph, inputs,
-                        [&](uint32_t node, uint32_t count) { return progress.step(node, count); }));
+    const auto step = [&](uint32_t node, uint32_t count) { return progress.step(node, count); };
+    const bool bounded = has_reals(*graph);
+    std::vector<Tensor> expected;
+    std::vector<Bounds> bounds;
+    if (bounded) {
+      SHALE_TRY(bounds, interpret_bounds(*graph, inputs, step));
+    } else {
+      SHALE_TRY(expected, interpret(*graph, inputs, step));
+    }
     for (size_t i = 0; i < outputs.size(); ++i) {
-      const std::optional<std::string> difference = first_difference(outputs[i], expected[i]);
-      json["check"][names[i]->name] = difference.value_or("equal");
+      const std::optional<std::string> difference = bounded
+                                                        ? first_outside(outputs[i], bounds[i])
+                                                        : first_difference(outputs[i], expected[i]);
+      json["check"][names[i]->name] = difference.value_or(bounded ? "within bounds" : "equal");
       if (difference) exit = kRefused;
     }
   }
@@ -144,7 +157,9 @@ Result<int> run(const Arguments& arguments) {
   if (arguments.check)
     for (const auto& [name, text] : json["check"].items())
       fmt::print("output \"{}\": {} the interpreter\n", name,
-                 text == "equal" ? "equal to" : "differs from (" + text.get<std::string>() + ")");
+                 text == "equal"           ? "equal to"
+                 : text == "within bounds" ? "within the rounding bounds of"
+                                           : "differs from (" + text.get<std::string>() + ")");
   if (arguments.profile) {
     for (const DispatchTime& time : times)
       fmt::print("  {:>10.1f} us {:>5.1f} %  {:<20} {}\n", time.time_us,
@@ -166,7 +181,9 @@ Action add_run(CLI::App& app) {
   app.add_option("--random", arguments->random_seed,
                  "seed for random values of the inputs that are not given");
   app.add_option("-o,--output", arguments->output_folder, "folder for the outputs, NAME.npy each");
-  app.add_flag("--check", arguments->check, "compare bit for bit with the reference interpreter");
+  app.add_flag(
+      "--check", arguments->check,
+      "compare with the reference interpreter: bit for bit, floats by their rounding bounds");
   app.add_option("--model", arguments->check_model, "the model of a package, for --check");
   app.add_option("--repeat", arguments->repeat, "runs; times are the median")
       ->check(CLI::Range(1, 10000));
