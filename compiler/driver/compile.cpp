@@ -14,6 +14,7 @@
 #include "compiler/spirv/glsl.h"
 #include "ir/base/hash.h"
 #include "ir/base/parallel.h"
+#include "ir/verify/verify.h"
 
 namespace shale {
 namespace {
@@ -99,6 +100,7 @@ class VariantBuilder {
   }
 
   uint64_t arena_lower_bound_bytes() const { return lower_bound_; }
+  std::vector<WorkTable> take_work() { return std::move(work_); }
 
  private:
   uint32_t add_tensor(ValueId id, Category category) {
@@ -181,7 +183,7 @@ class VariantBuilder {
   /// A group's dispatches before they are put into the package.
   struct Emitted {
     const KernelFamily* family = nullptr;
-    double time_us = 0;
+    WorkTable work{};
     std::vector<KernelSource> sources;
     std::vector<std::string> names;
     std::vector<size_t> modules;  ///< indices of unique sources
@@ -201,7 +203,7 @@ class VariantBuilder {
         emitted.family = &select_kernel(problem, profile_, options_.kernels);
     }
     SHALE_TRY(emitted.sources, emitted.family->emit(problem, profile_));
-    emitted.time_us = emitted.family->time_us(problem, profile_);
+    emitted.work = emitted.family->work(problem);
     for (size_t part = 0; part < emitted.sources.size(); ++part) {
       std::string& own =
           emitted.names.emplace_back(part == 0 ? name : fmt::format("{}#{}", name, part));
@@ -252,7 +254,9 @@ class VariantBuilder {
         dispatch.name = group.names[part];
         dispatch.kernel = group.family->name;
         dispatch.workgroups = source.workgroups;
-        dispatch.cost = share(problem.cost, group.time_us, group.sources.size());
+        WorkTable& work = work_.emplace_back(group.work);
+        for (double& amount : work) amount /= static_cast<double>(group.sources.size());
+        dispatch.cost = share(problem.cost, work_time_us(work, profile_.ns), group.sources.size());
         dispatch.module = indices[group.modules[part]];
         for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
           const KernelBinding& from = source.bindings[binding];
@@ -282,7 +286,7 @@ class VariantBuilder {
     cost.macs /= parts;
     cost.ops /= parts;
     cost.bytes_written /= parts;
-    cost.time_us = time_us / static_cast<double>(parts);
+    cost.time_us = time_us;
     return cost;
   }
 
@@ -448,9 +452,9 @@ class VariantBuilder {
       if (from.writes) dispatch.cost.bytes_written += bytes;
     }
     dispatch.cost.time_us =
-        1e-3 * static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) /
-            profile_.bandwidth_gbps +
-        profile_.launch_us;
+        1e-3 * (static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) *
+                    profile_.ns[Work::kByte] +
+                profile_.ns[Work::kDispatch]);
     KernelSource source;
     SHALE_TRY(source.glsl, options_.load_shader(pass.shader));
     Defines defines = frame_defines();
@@ -492,6 +496,7 @@ class VariantBuilder {
   Variant variant_;
   std::map<ValueId, uint32_t> resource_of_;
   std::map<ValueId, LiveInterval> live_;
+  std::vector<WorkTable> work_;
   size_t dispatch_count_ = 0;
   uint64_t lower_bound_ = 0;
 };
@@ -550,6 +555,12 @@ Result<void> size_inputs(const Graph& graph, CompileOptions& options) {
   return {};
 }
 
+Result<Graph> imported(std::span<const uint8_t> model, const CompileOptions& options) {
+  ImportOptions import = options.import;
+  import.input_shapes = options.passes.input_shapes;
+  return import_model(model, import);
+}
+
 bool has_graph(const Frame& frame) {
   return std::any_of(frame.passes.begin(), frame.passes.end(),
                      [](const FramePass& pass) { return pass.is_graph; });
@@ -557,12 +568,27 @@ bool has_graph(const Frame& frame) {
 
 }  // namespace
 
+Result<Graph> shaped_graph(std::span<const uint8_t> model, const CompileOptions& given) {
+  CompileOptions options = given;
+  SHALE_TRY(Graph graph, imported(model, options));
+  if (options.frame) SHALE_TRY_VOID(size_inputs(graph, options));
+  const Result<Change> shapes = run_pass(*find_pass("infer-shapes"), graph, options.passes);
+  if (!shapes) return shapes.error();
+  SHALE_TRY_VOID(verify(graph));
+  return graph;
+}
+
+Result<Graph> fused_graph(Graph graph, const CompileOptions& options) {
+  const auto timings = run_pipeline(graph, {}, options.pass_options);
+  if (!timings) return timings.error();
+  give_outputs_nodes(graph);
+  return graph;
+}
+
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options) {
   Graph graph;
   if (!options.frame || has_graph(*options.frame)) {
-    ImportOptions import = options.import;
-    import.input_shapes = options.passes.input_shapes;
-    SHALE_TRY(graph, import_model(model, import));
+    SHALE_TRY(graph, imported(model, options));
   }
   return compile_graph(std::move(graph), stable_hash(model), options);
 }
@@ -598,10 +624,14 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
         known += (known.empty() ? "" : ", ") + std::string(each.name);
       return bad_input("--target", "\"{}\" is unknown, expected one of: {}", target, known);
     }
-    VariantBuilder builder(graph, problems, *profile, options, blob, compiled.warnings);
+    DeviceProfile own = *profile;
+    if (const auto measured = options.constants.find(target); measured != options.constants.end())
+      own.ns = measured->second.ns, own.roof_gops = measured->second.roof_gops;
+    VariantBuilder builder(graph, problems, own, options, blob, compiled.warnings);
     SHALE_TRY(Variant variant, builder.build());
     compiled.arena_lower_bound_bytes =
         std::max(compiled.arena_lower_bound_bytes, builder.arena_lower_bound_bytes());
+    compiled.work.push_back(builder.take_work());
     compiled.package.variants.push_back(std::move(variant));
   }
   const std::chrono::duration<double, std::milli> elapsed =

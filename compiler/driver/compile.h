@@ -25,6 +25,9 @@ struct CompileOptions {
       kernels;  ///< families to choose from; empty is all. "generic" always may serve
   /// Family by the name of a group's result: what was measured to be fastest. Others are selected.
   std::map<std::string, std::string> choices;
+  /// Constants of the cost model by target, in place of the profile's own: those of the device at
+  /// hand, from `shale fit`.
+  std::map<std::string, MeasuredConstants> constants;
   std::string
       prefer;  ///< family of every group that it supports and `choices` leaves; empty is none
   bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
@@ -43,8 +46,18 @@ struct Compiled {
   std::vector<std::string> warnings;
   std::vector<PassTiming> timings;
   uint64_t arena_lower_bound_bytes = 0;
+  /// By variant: what each dispatch of the network does.
+  std::vector<std::vector<WorkTable>> work;
   double kernels_ms = 0;  ///< time in code generation and SPIR-V
 };
+
+/// The model with the input shapes that the options and the frame give it, verified; before the
+/// passes.
+/// Errors: those of the frontend, of shapes that stay open, of the verifier.
+Result<Graph> shaped_graph(std::span<const uint8_t> model, const CompileOptions& options);
+
+/// A shaped graph as compile() cuts it into dispatches: after the passes, groups set. No code is made.
+Result<Graph> fused_graph(Graph graph, const CompileOptions& options);
 
 /// The same input and options give the same bytes. With a frame that has no graph pass, `model` may
 /// be empty and is not looked at.

@@ -381,4 +381,28 @@ Result<Frame> parse_frame(const std::string& text) {
   return frame;
 }
 
+double pass_bytes(const Frame& frame, FrameExtent render, FrameExtent output, const Graph* graph) {
+  const auto size_of = [&](const FrameBinding& binding) -> double {
+    if (!binding.is_image) {
+      const std::optional<ValueId> id = graph ? graph->find_value(binding.name) : std::nullopt;
+      if (!id) return 0;
+      const TensorType& type = graph->value(*id).type;
+      return static_cast<double>(element_count(type.shape).value_or(0)) *
+             dtype_info(type.dtype).host_bytes;
+    }
+    for (const FrameImage& image : frame.images) {
+      if (image.name != binding.name) continue;
+      const FrameExtent extent = image.size(render, output);
+      return static_cast<double>(extent.width) * extent.height *
+             image_format_info(image.format).texel_bytes;
+    }
+    return 0;
+  };
+  double bytes = 0;
+  for (const FramePass& pass : frame.passes)
+    for (const FrameBinding& binding : pass.bindings)
+      bytes += size_of(binding) * (int{binding.reads} + int{binding.writes});
+  return bytes;
+}
+
 }  // namespace shale

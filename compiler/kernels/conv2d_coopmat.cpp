@@ -173,8 +173,8 @@ bool conv2d_coopmat_supports(const GroupProblem& problem, const DeviceProfile& p
          out[0] * slices_of(out[3]).count <= kMaxWorkgroups;
 }
 
-double conv2d_coopmat_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return gpu_conv_time_us(problem, profile, CoopmatEmitter(problem).macs(), profile.matrix_gops);
+WorkTable conv2d_coopmat_work(const GroupProblem& problem) {
+  return gpu_conv_work(problem, Work::kMatrixMac, CoopmatEmitter(problem).macs());
 }
 
 Result<std::vector<KernelSource>> conv2d_coopmat_emit(const GroupProblem& problem,

@@ -176,18 +176,6 @@ bool fits_float(const GroupProblem& problem) {
                      [](int64_t bound) { return bound < kFloatExact; });
 }
 
-/// `share` of the device's mul+add rate, for `part` of the direct form's products.
-double time_us(const GroupProblem& problem, const DeviceProfile& profile, double share,
-               double part) {
-  const Shape& weight =
-      problem.graph->value(problem.graph->node(*problem.group.head).inputs[1]).type.shape;
-  // Channel by channel fetches cost about as much as a pass of products each.
-  const double overhead = weight[3] % 4 == 0 ? 1.0 : 2.0;
-  const double arithmetic = 2e-3 * static_cast<double>(problem.cost.macs) * part /
-                            (profile.mul_add_gops * share) * overhead;
-  return literal_time_us(problem, profile, arithmetic);
-}
-
 }  // namespace
 
 bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
@@ -199,8 +187,9 @@ int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile&
   return direct_map(conv, kFloatProducts).products(conv);
 }
 
-double conv2d_f32exact_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return time_us(problem, profile, profile.literal_share, 1.0);
+WorkTable conv2d_f32exact_work(const GroupProblem& problem) {
+  const LiteralConv conv(problem);
+  return tap_work(problem, direct_map(conv, kFloatProducts), true, kFloatProducts);
 }
 
 Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& problem,
@@ -218,14 +207,9 @@ int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile&)
   return phase_map(conv)->products(conv);
 }
 
-double conv2d_phase_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
+WorkTable conv2d_phase_work(const GroupProblem& problem) {
   const LiteralConv conv(problem);
-  const TapMap map = *phase_map(conv);
-  const Shape& taps = conv.weight_shape();
-  const double direct =
-      static_cast<double>(map.tile_height * map.tile_width * taps[0] * taps[1] * taps[2] * taps[3]);
-  return time_us(problem, profile, profile.literal_share,
-                 static_cast<double>(map.products(conv)) / direct);
+  return tap_work(problem, *phase_map(conv), true, kFloatProducts);
 }
 
 Result<std::vector<KernelSource>> conv2d_phase_emit(const GroupProblem& problem,
@@ -238,8 +222,9 @@ bool conv2d_i32_supports(const GroupProblem& problem, const DeviceProfile& profi
   return supports(problem, profile, false, kIntegerProducts);
 }
 
-double conv2d_i32_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return time_us(problem, profile, profile.integer_share, 1.0);
+WorkTable conv2d_i32_work(const GroupProblem& problem) {
+  const LiteralConv conv(problem);
+  return tap_work(problem, direct_map(conv, kIntegerProducts), false, kIntegerProducts);
 }
 
 Result<std::vector<KernelSource>> conv2d_i32_emit(const GroupProblem& problem,

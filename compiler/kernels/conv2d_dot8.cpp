@@ -173,8 +173,8 @@ bool conv2d_dot8_supports(const GroupProblem& problem, const DeviceProfile& prof
          out[0] * groups(out[3], tile.channels) <= kMaxWorkgroups;
 }
 
-double conv2d_dot8_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return gpu_conv_time_us(problem, profile, Dot8Emitter(problem).macs(), profile.dot8_gops);
+WorkTable conv2d_dot8_work(const GroupProblem& problem) {
+  return gpu_conv_work(problem, Work::kDotMac, Dot8Emitter(problem).macs());
 }
 
 Result<std::vector<KernelSource>> conv2d_dot8_emit(const GroupProblem& problem,

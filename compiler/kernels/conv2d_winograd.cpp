@@ -52,14 +52,20 @@ class Winograd {
 
   int64_t products() const { return 16 * conv_.weight_shape()[0] * conv_.weight_shape()[3]; }
 
-  /// Products of the whole result, and the transforms in units of a product.
-  double work() const {
+  WorkTable work() const {
     const Shape& out = conv_.out();
-    const double in_channels = static_cast<double>(conv_.weight_shape()[3]),
-                 channels = static_cast<double>(out[3]),
-                 tiles = static_cast<double>(out[0] * ((out[1] + 1) / 2) * ((out[2] + 1) / 2));
-    return tiles * (static_cast<double>(products()) +
-                    40 * in_channels * static_cast<double>(passes()) + 18 * channels);
+    const double tiles =
+        static_cast<double>(out[0] * ((out[1] + 1) / 2) * literal_lanes((out[2] + 1) / 2));
+    const int64_t in_channels = conv_.weight_shape()[3];
+    WorkTable work{};
+    work[Work::kDispatch] = 1;
+    work[Work::kCode] = static_cast<double>(products());
+    work[Work::kWinogradProduct] = tiles * static_cast<double>(products());
+    // Each pass makes its 16 values a channel anew; an output channel adds 16 sums to 4 results.
+    work[Work::kTransform] = tiles * static_cast<double>(16 * (in_channels * passes() + out[3]));
+    work[Work::kFetch] = tiles * static_cast<double>(16 * in_channels / conv_.lanes());
+    work[Work::kResult] = tiles * static_cast<double>(4 * out[3]);
+    return work;
   }
 
   /// Every partial sum of every output channel stays below 2^24, and four times the result too.
@@ -229,10 +235,10 @@ int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfil
   return Winograd(problem).products();
 }
 
-double conv2d_winograd_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  return literal_time_us(
-      problem, profile,
-      2e-3 * Winograd(problem).work() / (profile.mul_add_gops * profile.winograd_share));
+WorkTable conv2d_winograd_work(const GroupProblem& problem) {
+  WorkTable work = Winograd(problem).work();
+  work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
+  return work;
 }
 
 Result<std::vector<KernelSource>> conv2d_winograd_emit(const GroupProblem& problem,

@@ -221,11 +221,15 @@ class HeadEmitter {
 
 bool generic_supports(const GroupProblem&, const DeviceProfile&) { return true; }
 
-double generic_time_us(const GroupProblem& problem, const DeviceProfile& profile) {
-  const double elements = static_cast<double>(
+WorkTable generic_work(const GroupProblem& problem) {
+  WorkTable work{};
+  work[Work::kDispatch] = 1;
+  work[Work::kGenericMac] = static_cast<double>(problem.cost.macs);
+  work[Work::kGenericResult] = static_cast<double>(
       element_count(problem.graph->value(problem.group.result).type.shape).value_or(0));
-  return 2e-3 * static_cast<double>(problem.cost.macs) / profile.generic_gops +
-         1e-3 * elements * profile.element_ns + profile.launch_us;
+  // It moves these bytes, and some of them more than once.
+  work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
+  return work;
 }
 
 Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem, const DeviceProfile&) {

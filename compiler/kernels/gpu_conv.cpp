@@ -141,9 +141,8 @@ void GpuConv::declare_inputs(Codegen& codegen) const {
     const Part& part = parts_[i];
     const Shape& shape = graph_.value(part.value).type.shape;
     const bool words = part.in_words();
-    const size_t binding =
-        codegen.bind(part.value, BindingType::kStorageBuffer,
-                     words ? ImageFormat::kR32Uint : ImageFormat::kNone, false);
+    const size_t binding = codegen.bind(part.value, BindingType::kStorageBuffer,
+                                        words ? ImageFormat::kR32Uint : ImageFormat::kNone, false);
     codegen.add_function(fmt::format(
         "int locate{}(int n, int y, int x, out uint fill) {{\n{}  return ((n * {} + y) * {} + x) * "
         "{};\n}}\n\n",
@@ -205,16 +204,12 @@ void GpuConv::declare_finish(Codegen& codegen, size_t binding, int64_t first) co
                   shape[2], shape[3], binding, first, stores));
 }
 
-double gpu_conv_time_us(const GroupProblem& problem, const DeviceProfile& profile, double macs,
-                        double gops) {
-  const double arithmetic = 2e-3 * macs / gops;
-  const double memory = 1e-3 *
-                        static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written) /
-                        profile.bandwidth_gbps;
-  // The generic kernel moves these bytes too, and more than once, though its estimate leaves them
-  // out: it is never the faster one.
-  return std::min(std::max(arithmetic, memory) + profile.launch_us,
-                  generic_time_us(problem, profile));
+WorkTable gpu_conv_work(const GroupProblem& problem, Work kind, double macs) {
+  WorkTable work{};
+  work[Work::kDispatch] = 1;
+  work[kind] = macs;
+  work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
+  return work;
 }
 
 }  // namespace shale

@@ -80,9 +80,7 @@ class GpuConv {
   std::vector<int64_t> channel_of_slot_;  ///< -1 for what fills a word
 };
 
-/// Microseconds of a dispatch that computes `macs`, filling included, at `gops` (2 per MAC), or
-/// moves the group's bytes, whichever takes longer; at most the generic kernel's estimate.
-double gpu_conv_time_us(const GroupProblem& problem, const DeviceProfile& profile, double macs,
-                        double gops);
+/// One dispatch of so many MACs, filling included, by int8 dot products or matrices.
+WorkTable gpu_conv_work(const GroupProblem& problem, Work kind, double macs);
 
 }  // namespace shale

@@ -231,6 +231,8 @@ int64_t LiteralConv::local_x(int64_t grid_x) {
   return 8;
 }
 
+int64_t literal_lanes(int64_t grid_x) { return ceil_div(grid_x, 8) * 8; }
+
 KernelSource LiteralConv::finish(const std::string& body, int64_t grid_x, int64_t grid_y) {
   KernelSource source;
   source.glsl = codegen_.finish(
@@ -257,14 +259,6 @@ int64_t TapMap::products(const LiteralConv& conv) const {
   return count;
 }
 
-double literal_time_us(const GroupProblem& problem, const DeviceProfile& profile,
-                       double arithmetic_us) {
-  const double memory = 1e-3 *
-                        static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written) /
-                        profile.bandwidth_gbps;
-  return std::max(arithmetic_us, memory) + profile.launch_us;
-}
-
 namespace {
 
 /// Output channels of a module: as many live sums as fit, or a part of them, in fours so that
@@ -276,6 +270,18 @@ int64_t channels_per_module(const LiteralConv& conv, const TapMap& map, int64_t 
   return fit >= kLiveSums ? fit / kLiveSums * kLiveSums : fit / 4 * 4;
 }
 
+/// How a module goes over the sums of channels [first, last): `live` at a time, `rows` rows in a loop.
+struct Passes {
+  int64_t rows, live;
+};
+Passes passes_of(const LiteralConv& conv, const TapMap& map, int64_t first, int64_t last) {
+  const bool looped =
+      map.tile_height * map.tile_width == 1 &&
+      (last - first) * static_cast<int64_t>(map.texels.size()) * conv.weight_shape()[3] >
+          kLoopedProducts;
+  return looped ? Passes{kLoopedRows, kLoopedSums} : Passes{1, kLiveSums};
+}
+
 class TapEmitter {
  public:
   TapEmitter(const GroupProblem& problem, const TapMap& map, bool use_float)
@@ -283,11 +289,7 @@ class TapEmitter {
 
   KernelSource module(int64_t first, int64_t last) {
     const int64_t pixels = map_.tile_height * map_.tile_width;
-    const bool looped = pixels == 1 && (last - first) * static_cast<int64_t>(map_.texels.size()) *
-                                               conv_.weight_shape()[3] >
-                                           kLoopedProducts;
-    const int64_t rows = looped ? kLoopedRows : 1;
-    const int64_t live = looped ? kLoopedSums : kLiveSums;
+    const auto [rows, live] = passes_of(conv_, map_, first, last);
     std::string body;
     for (int64_t oc = first; oc < last; oc += live) {
       const int64_t end = std::min(last, oc + live);
@@ -371,6 +373,36 @@ std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& m
     sources.push_back(
         TapEmitter(problem, map, use_float).module(first, std::min(channels, first + step)));
   return sources;
+}
+
+WorkTable tap_work(const GroupProblem& problem, const TapMap& map, bool use_float,
+                   int64_t most_products) {
+  const LiteralConv conv(problem);
+  const int64_t channels = conv.out()[3], pixels = map.tile_height * map.tile_width,
+                step = std::max<int64_t>(channels_per_module(conv, map, most_products), 1);
+  const double texels = static_cast<double>(map.texels.size()),
+               in_channels = static_cast<double>(conv.weight_shape()[3]);
+  const int64_t grid_x = ceil_div(conv.out()[2], map.tile_width);
+  WorkTable work{};
+  double passes = 0, invocations = 0;  // of a module; modules differ by their last part alone
+  for (int64_t first = 0; first < channels; first += step) {
+    const int64_t last = std::min(channels, first + step);
+    const auto [rows, live] = passes_of(conv, map, first, last);
+    const int64_t grid_y = ceil_div(conv.out()[1], map.tile_height * rows) * rows;
+    invocations = static_cast<double>(literal_lanes(grid_x) * grid_y * conv.out()[0]);
+    for (int64_t oc = first; oc < last; oc += live)
+      passes += static_cast<double>(
+          ceil_div(pixels, std::max<int64_t>(1, live / (std::min(last, oc + live) - oc))));
+    work[Work::kDispatch] += 1;
+  }
+  work[Work::kCode] = static_cast<double>(map.products(conv));
+  work[use_float ? Work::kFloatProduct : Work::kIntProduct] = work[Work::kCode] * invocations;
+  work[Work::kFetch] =
+      invocations * passes * texels * std::ceil(in_channels / static_cast<double>(conv.lanes()));
+  work[Work::kUnpack] = invocations * passes * texels * in_channels;
+  work[Work::kResult] = invocations * static_cast<double>(pixels * channels);
+  work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
+  return work;
 }
 
 std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,

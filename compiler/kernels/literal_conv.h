@@ -80,9 +80,8 @@ class LiteralConv {
   std::set<std::string> functions_;
 };
 
-/// Time of a dispatch whose arithmetic takes `arithmetic_us`.
-double literal_time_us(const GroupProblem& problem, const DeviceProfile& profile,
-                       double arithmetic_us);
+/// Invocations along x that run, idle lanes included: they come in eights.
+int64_t literal_lanes(int64_t grid_x);
 
 /// A convolution as sums over texels of one value: an invocation makes a tile of output pixels, and
 ///   sum(pixel, oc) = sum over texels and c of weight(pixel, texel, oc, c) * u(texel, c).
@@ -103,6 +102,9 @@ struct TapMap {
 /// module) allows.
 std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map, bool use_float,
                                     int64_t most_products);
+/// What that code does.
+WorkTable tap_work(const GroupProblem& problem, const TapMap& map, bool use_float,
+                   int64_t most_products);
 /// Number of modules of emit_taps; nothing if even a part of the channels is too much for one, or
 /// the grid too large to be dispatched.
 std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,

@@ -7,7 +7,7 @@ namespace {
 
 constexpr KernelFamily kKernels[] = {
 #define SHALE_KERNEL(prefix, name, literals) \
-  {name, prefix##_supports, prefix##_time_us, literals, prefix##_emit},
+  {name, prefix##_supports, prefix##_work, literals, prefix##_emit},
 #include "compiler/kernels/kernels.def"
 };
 
@@ -21,7 +21,7 @@ double weighed_us(const KernelFamily& family, const GroupProblem& problem,
       family.literals
           ? profile.driver_us_per_product * static_cast<double>(family.literals(problem, profile))
           : 0;
-  return family.time_us(problem, profile) + setup_us / kFramesPerStart;
+  return work_time_us(family.work(problem), profile.ns) + setup_us / kFramesPerStart;
 }
 
 }  // namespace
@@ -48,7 +48,8 @@ const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfi
   }
   if (!best) return generic;
   // A family that was asked for by name serves wherever it can.
-  const bool faster = best->time_us(problem, profile) <= generic.time_us(problem, profile);
+  const bool faster = work_time_us(best->work(problem), profile.ns) <=
+                      work_time_us(generic.work(problem), profile.ns);
   return faster || !allowed.empty() ? *best : generic;
 }
 

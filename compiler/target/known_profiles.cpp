@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <initializer_list>
 #include <vector>
 
@@ -12,9 +13,32 @@ FeatureSet features(std::initializer_list<Feature> list) {
   return set;
 }
 
+constexpr std::array<WorkInfo, kWorkCount> kWorks{{
+    {"dispatch", "a dispatch"},
+    {"code", "a product in the code, once a dispatch"},
+    {"float_product", "a float32 product with a literal"},
+    {"int_product", "an int32 product with a literal"},
+    {"winograd_product", "a float32 product between the transforms of Winograd's form"},
+    {"transform", "an element of Winograd's transforms"},
+    {"fetch", "a texel fetched"},
+    {"unpack", "a channel of a texel made a number"},
+    {"result", "an element requantized and stored"},
+    {"generic_mac", "a product of the generic kernel"},
+    {"generic_result", "an element of the generic kernel"},
+    {"dot_mac", "a product by int8 dot products"},
+    {"matrix_mac", "a product by int8 cooperative matrices"},
+    {"byte", "a byte read or written"},
+}};
+
+WorkTable work_ns(std::initializer_list<std::pair<Work, double>> list) {
+  WorkTable table{};
+  for (const auto& [work, ns] : list) table[work] = ns;
+  return table;
+}
+
 /// A class of GPUs: what any has, and `more`. Rates are assumed, for ranking kernels only.
 DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet more,
-                       double dot8_gops, double matrix_gops) {
+                       WorkTable more_ns = {}) {
   DeviceProfile profile{
       .name = name,
       .help = help,
@@ -34,15 +58,13 @@ DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet 
                .max_texel_buffers = 16,
                .max_storage_images = 8,
                .subgroup_size = 32},
-      .mul_add_gops = 2000,
-      .dot8_gops = dot8_gops,
-      .matrix_gops = matrix_gops,
-      .generic_gops = 100,
-      .element_ns = 0.05,
-      .bandwidth_gbps = 50,
-      .launch_us = 5,
+      .ns = work_ns({{Work::kDispatch, 5000},
+                     {Work::kGenericMac, 0.02},
+                     {Work::kGenericResult, 0.05},
+                     {Work::kByte, 0.02}}),
       .source = "assumed: order of magnitude of a phone GPU, for ranking kernels only"};
   profile.caps.features.bits |= more.bits;
+  for (size_t i = 0; i < kWorkCount; ++i) profile.ns.at(i) += more_ns.at(i);
   return profile;
 }
 
@@ -67,30 +89,50 @@ const std::vector<DeviceProfile>& profiles() {
                 .max_texel_buffers = 128,
                 .max_storage_images = 32,
                 .subgroup_size = 8},
-       .mul_add_gops = 125,
-       .literal_share = 0.72,
-       .winograd_share = 0.65,
-       .integer_share = 0.5,
+       .ns = work_ns({{Work::kDispatch, 80500},
+                      {Work::kCode, 4.76},
+                      {Work::kFloatProduct, 0.0142},
+                      {Work::kIntProduct, 0.032},
+                      {Work::kWinogradProduct, 0.0157},
+                      {Work::kTransform, 0.0937},
+                      {Work::kFetch, 0.639},
+                      {Work::kUnpack, 0.0431},
+                      {Work::kResult, 0.1146},
+                      {Work::kGenericMac, 2.35},
+                      {Work::kGenericResult, 3.32},
+                      {Work::kByte, 0.167}}),
+       .roof_gops = 143.4,
        .driver_us_per_product = 120,
-       .generic_gops = 0.85,
-       .element_ns = 3.0,
-       .bandwidth_gbps = 6.0,
-       .launch_us = 30,
        .literal_weights = true,
-       .source = "measured with tests/bench on 2 cores, Mesa 22.3.6"},
-      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers", {}, 0,
-               0),
+       .source = "fitted by shale fit to NSS v1 HIGH, LOW, v0.1, SRPO x2, x3 at 320x180, 640x360 "
+                 "and 1280x720 "
+                 "(shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa 22.3.6; "
+                 "int_product and "
+                 "generic_mac from tests/bench, byte assumed"},
+      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers", {}),
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",
-               features({Feature::kDotProduct8}), 1000, 0),
+               features({Feature::kDotProduct8}), work_ns({{Work::kDotMac, 0.002}})),
       gpu_with(
           "coopmat-gpu",
           "a GPU with int8 cooperative matrices of 16x16x32 in subgroups of 32 (not run on one)",
-          features({Feature::kDotProduct8, Feature::kCooperativeMatrix}), 1000, 2500),
+          features({Feature::kDotProduct8, Feature::kCooperativeMatrix}),
+          work_ns({{Work::kDotMac, 0.002}, {Work::kMatrixMac, 0.0008}})),
   };
   return table;
 }
 
 }  // namespace
+
+const WorkInfo& work_info(Work work) { return kWorks[static_cast<size_t>(work)]; }
+
+double work_time_us(const WorkTable& amounts, const WorkTable& ns) {
+  double busy = 0;
+  for (size_t i = 0; i < kWorkCount; ++i) busy += amounts.at(i) * ns.at(i);
+  const double dispatch = amounts[Work::kDispatch] * ns[Work::kDispatch],
+               memory = amounts[Work::kByte] * ns[Work::kByte];
+  busy -= dispatch + memory;
+  return 1e-3 * (std::max(busy, memory) + dispatch);
+}
 
 std::span<const DeviceProfile> known_profiles() { return profiles(); }
 

@@ -1,6 +1,8 @@
 // compiler/target/profile.h -- device classes that a package can be compiled for.
 #pragma once
 
+#include <array>
+#include <cstdint>
 #include <span>
 #include <string_view>
 
@@ -8,22 +10,56 @@
 
 namespace shale {
 
-/// Constants of the cost model; rates are sustained, measured where `source` says so.
+/// What the time of a dispatch is made of.
+enum class Work : uint8_t {
+  kDispatch,         ///< one per dispatch: launch and barrier
+  kCode,             ///< products in the code: fetched anew by every dispatch
+  kFloatProduct,     ///< float32 multiply and add by a literal, of all invocations; so below
+  kIntProduct,       ///< the same in int32
+  kWinogradProduct,  ///< the same between the transforms of Winograd's form
+  kTransform,        ///< an element of those transforms
+  kFetch,            ///< a texel
+  kUnpack,           ///< a channel of a texel as a number
+  kResult,           ///< an element requantized and stored
+  kGenericMac,       ///< by the generic kernel, 1 per product
+  kGenericResult,    ///< an element by the generic kernel
+  kDotMac,           ///< by int8 dot products
+  kMatrixMac,        ///< by int8 cooperative matrices
+  kByte,             ///< read or written, at the memory's rate while the rest goes on
+};
+inline constexpr size_t kWorkCount = 14;
+
+struct WorkInfo {
+  std::string_view name;  ///< in JSON
+  std::string_view what;
+};
+const WorkInfo& work_info(Work work);
+
+/// A number per Work: amounts, or the nanoseconds that one takes.
+struct WorkTable : std::array<double, kWorkCount> {
+  double& operator[](Work work) { return at(static_cast<size_t>(work)); }
+  double operator[](Work work) const { return at(static_cast<size_t>(work)); }
+};
+
+/// Microseconds: the memory's time or that of all else, whichever is longer, and the dispatch.
+double work_time_us(const WorkTable& amounts, const WorkTable& ns);
+
+/// Constants that were measured on one device.
+struct MeasuredConstants {
+  WorkTable ns{};
+  double roof_gops = 0;  ///< as in DeviceProfile
+};
+
+/// A device class: what it can do, and the constants of the cost model, measured where `source` says
+/// so.
 struct DeviceProfile {
   std::string_view name;
   std::string_view help;
   DeviceCaps caps;
-  double mul_add_gops = 0;    ///< float32 multiply and add in registers, 2 per MAC
-  double literal_share = 0;   ///< share of mul_add_gops that kernels with literal weights reach
-  double winograd_share = 0;  ///< the same for Winograd kernels, by the products that they make
-  double integer_share = 0;   ///< the same for the int32 form
+  WorkTable ns{};  ///< what a unit of work takes, all cores at work
+  double roof_gops =
+      0;  ///< float32 multiply and add in registers when `ns` was measured; 0 is unknown
   double driver_us_per_product = 0;  ///< the driver's compile time for a product in the code
-  double dot8_gops = 0;          ///< kernels of int8 dot products, 2 per MAC; weights in buffers
-  double matrix_gops = 0;        ///< kernels of int8 cooperative matrices, the same
-  double generic_gops = 0;       ///< one invocation per output element, storage buffers, 2 per MAC
-  double element_ns = 0;         ///< cost of one elementwise result of the generic kernel
-  double bandwidth_gbps = 0;     ///< bytes read or written per nanosecond
-  double launch_us = 0;          ///< per dispatch
   bool literal_weights = false;  ///< constants in code are free: true where kernels run on a CPU
   std::string_view source;
 };

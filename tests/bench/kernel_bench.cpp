@@ -133,15 +133,11 @@ double median_rate(const std::string& name) {
 void measure(benchmark::State& state, const std::string& name, const Package& package,
              const std::vector<Tensor>& inputs, double gop, uint32_t repeat) {
   for (auto _ : state) {
-    std::vector<DispatchTime> times;
-    const auto before = measure_mul_add_roof(device(), 9);
-    const auto outputs = run_network(device(), package, inputs, repeat, &times);
-    const auto after = measure_mul_add_roof(device(), 9);
-    if (!outputs || !before || !after)
-      return state.SkipWithError(outputs ? "no roof" : outputs.error().text().c_str());
-    roofs()[name] = (*before + *after) / 2;
+    const Result<RoofedTimes> measured = measure_under_roof(device(), package, inputs, repeat);
+    if (!measured) return state.SkipWithError(measured.error().text().c_str());
+    roofs()[name] = measured->roof;
     double seconds = 0;
-    for (const DispatchTime& time : times) seconds += 1e-6 * time.time_us;
+    for (const DispatchTime& time : measured->times) seconds += 1e-6 * time.time_us;
     state.SetIterationTime(seconds);
     rates()[name].push_back(gop / seconds);
   }

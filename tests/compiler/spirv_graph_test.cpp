@@ -92,6 +92,17 @@ TEST(SpirvGraph, RoundTripsAllGoldenGraphs) {
   EXPECT_GE(rewritten, 40u);
 }
 
+TEST(SpirvGraph, RoundTripsTheModels) {
+  for (const char* model : {"nss_v1_high", "nss_v1_low", "nss_v0_1", "srpo_x2", "srpo_x3"}) {
+    const std::string path = fmt::format("{}/models/{}/model.tosa", SHALE_SOURCE_DIR, model);
+    const Graph graph = must(read_tosa(must(read_file(path))), path);
+    for (const bool external : {false, true}) {
+      const auto module = must(write_spirv_graph(graph, {.external_constants = external}), path);
+      EXPECT_TRUE(must(reread(module), path) == graph) << path;
+    }
+  }
+}
+
 /// CONV2D and RESCALE with per-channel multipliers; weights and biases are graph constants.
 const std::string kConvolution = R"(
 OpCapability GraphARM
@@ -317,8 +328,8 @@ struct Slot {
   std::string type;
 };
 
-/// A module with one graph "net" and many types at hand; binding i is slot i, inputs first. The body
-/// finds the inputs as %in0, %in1, ... and sets the outputs.
+/// A module with one graph "net" and many types at hand; binding i is slot i, inputs first. The
+/// body finds the inputs as %in0, %in1, ... and sets the outputs.
 std::string module_of(const std::vector<Slot>& inputs, const std::vector<Slot>& outputs,
                       const std::string& declarations, const std::string& body) {
   std::string names, variables, interface, types, reads;
@@ -1100,6 +1111,19 @@ TEST(SpirvGraph, RefusesWhatBreaksARule) {
     ASSERT_NE(broken, kSmall) << row.from;
     EXPECT_EQ(outcome(broken), row.error) << row.from << " -> " << row.to;
   }
+}
+
+TEST(SpirvGraph, LeavesTheOperatorsRulesToVerify) {
+  const auto verdict = [](const std::string& body) {
+    const std::string module = module_of({{"x", "%b1"}}, {{"y", "%b1"}}, "", body);
+    return error_text(verify(must(read_spirv_graph(bytes_of(assemble_spirv(module)), {}))));
+  };
+  EXPECT_EQ(verdict("%r = OpExtInst %b1 %tosa 40 %in0 %in0 %zero8\nOpGraphSetOutputARM %r %c0\n"),
+            "node %0 \"y\" (negate): input_zp \"x\" i8[1] is not constant, which needs the "
+            "extension EXT-DYNAMIC");
+  EXPECT_EQ(verdict("%r = OpExtInst %b1 %tosa RESIZE %c1 %in0 %s4 %s2 %s2\n"
+                    "OpGraphSetOutputARM %r %c0\n"),
+            "node %0 \"y\" (resize): input \"x\" i8[1] has rank 1, expected 4");
 }
 
 TEST(SpirvGraph, RefusesBrokenWords) {

@@ -1,5 +1,5 @@
-// tests/compiler/spirv_text.h -- SPIR-V graph modules as text, with tables of their own, so that reader
-// and writer are tested against another hand's numbers.
+// tests/compiler/spirv_text.h -- SPIR-V graph modules as text, with tables of their own, so that
+// reader and writer are tested against another hand's numbers.
 #pragma once
 
 #include <gtest/gtest.h>

@@ -62,8 +62,9 @@ class Cli : public testing::Test {
 TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
-  for (const char* command : {"compile", "run", "play", "report", "dump", "verify", "conform",
-                              "doctor", "diff", "scene", "eval", "bench", "tune", "convert"}) {
+  for (const char* command :
+       {"compile", "run", "play", "report", "fit", "trade", "dump", "convert", "verify", "conform",
+        "doctor", "diff", "scene", "eval", "bench", "tune"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -354,6 +355,152 @@ TEST_F(Cli, ReportCountsTheSrpoParameters) {
   EXPECT_TRUE(outcome.text.find("8,434") != std::string::npos ||
               outcome.text.find("8434") != std::string::npos)
       << outcome.text;
+}
+
+TEST_F(Cli, ReportReproducesThePublishedBudget) {
+  const nlohmann::json json =
+      nlohmann::json::parse(shale("report " + kModels + "/nss_v0_1 --render 960x540 --json").text);
+  const nlohmann::json& v0_1 = json["files"][0];
+  EXPECT_NEAR(v0_1["gop"].get<double>(), 13.09, 0.005);
+  EXPECT_DOUBLE_EQ(v0_1["budget"]["available_gop"], 26.0) << "(4.0 - 1.4) ms x 10 TOP/s";
+  EXPECT_NEAR(v0_1["budget"]["required_efficiency"].get<double>(), 0.50, 0.005);
+}
+
+/// The text between two marks.
+std::string between(const std::string& text, const std::string& before, const std::string& after) {
+  const size_t at = text.find(before), start = at + before.size();
+  return at == std::string::npos ? "" : text.substr(start, text.find(after, start) - start);
+}
+
+TEST_F(Cli, ReportWritesAPageOfTheSameNumbersAndATable) {
+  const std::string models =
+      kModels + "/srpo_x2 " + kModels + "/nss_v1_low " + kModels + "/baselines/bilinear";
+  const Outcome outcome = shale("report " + models + " --html " + file("r.html") + " --csv " +
+                                file("r.csv") + " --json");
+  ASSERT_EQ(outcome.exit, 0) << outcome.text;
+  const nlohmann::json json = nlohmann::json::parse(outcome.text);
+  const std::string page = read(file("r.html"));
+  EXPECT_EQ(nlohmann::json::parse(between(page, "id=\"data\">", "</script>")), json);
+  for (const char* outside : {"src=\"http", "href=\"http", "@import"})
+    EXPECT_EQ(page.find(outside), std::string::npos) << "the page needs nothing from outside";
+  const nlohmann::json& low = json["files"][1];
+  EXPECT_EQ(low["modelled"]["dispatches"].size(), 14u);
+  EXPECT_TRUE(low["frame"]["fits"]);
+  EXPECT_DOUBLE_EQ(low["frame"]["total_ms"], low["frame"]["passes_ms"].get<double>() +
+                                                 low["modelled"]["time_ms"].get<double>());
+  EXPECT_GT(low["fits"]["largest_output"][0], 1920) << "a quarter of HIGH's work";
+  EXPECT_LE(low["fits"]["least_ratio"], 2);
+  double sum = 0;
+  for (const auto& row : low["modelled"]["dispatches"]) sum += row["time_us"].get<double>();
+  EXPECT_NEAR(1e-3 * sum, low["modelled"]["time_ms"].get<double>(), 1e-9);
+  const std::string table = read(file("r.csv"));
+  EXPECT_EQ(std::count(table.begin(), table.end(), '\n'), 1 + 3 + 14) << table;
+}
+
+TEST_F(Cli, ReportSaysWhatWouldHaveToChange) {
+  const nlohmann::json json = nlohmann::json::parse(
+      shale("report " + kModels + "/nss_v1_high --efficiency 0.3 --json").text);
+  const nlohmann::json& frame = json["files"][0]["frame"];
+  ASSERT_FALSE(frame["fits"]);
+  const auto fits_with = [&](const std::string& options) {
+    const nlohmann::json again = nlohmann::json::parse(
+        shale("report " + kModels + "/nss_v1_high --efficiency 0.3 --json " + options).text);
+    return again["files"][0]["frame"]["fits"].get<bool>();
+  };
+  const double tops = frame["needs"]["tops"], passes = frame["needs"]["frame_ms"];
+  EXPECT_TRUE(fits_with("--tops " + std::to_string(tops * 1.0001)));
+  EXPECT_FALSE(fits_with("--tops " + std::to_string(tops * 0.9999)));
+  EXPECT_TRUE(fits_with("--frame-ms " + std::to_string(passes * 1.0001)));
+  EXPECT_FALSE(fits_with("--frame-ms " + std::to_string(passes * 0.9999)));
+  EXPECT_NE(shale("report " + kModels + "/srpo_x2 --device moon").text.find("moon"),
+            std::string::npos);
+}
+
+TEST_F(Cli, ReportNamesTheFirstChangeBetweenTwoVersions) {
+  ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("a.shale")).exit, 0);
+  ASSERT_EQ(
+      shale("compile " + file("small.tir") + " --kernels conv2d_s8_f32exact -o " + file("b.shale"))
+          .exit,
+      0);
+  const nlohmann::json packages = nlohmann::json::parse(
+      shale("report " + file("a.shale") + " " + file("b.shale") + " --json").text);
+  const nlohmann::json& change = packages["comparison"]["first_change"];
+  EXPECT_EQ(change["what"], "kernel") << packages["comparison"];
+  EXPECT_EQ(change["before"], "generic");
+  EXPECT_EQ(change["after"], "conv2d_s8_f32exact");
+  EXPECT_NE(packages["comparison"]["totals"]["predicted_us"]["change"], 0);
+  const nlohmann::json same = nlohmann::json::parse(
+      shale("report " + file("small.tir") + " " + file("small.tir") + " --json").text);
+  EXPECT_TRUE(same["comparison"]["first_change"].is_null());
+}
+
+TEST_F(Cli, FitWritesConstantsThatBenchTakes) {
+  const Outcome measured = shale("bench " + file("small.tir") + " --repeat 3 --json");
+  ASSERT_EQ(measured.exit, 0);
+  write(file("bench.json"), measured.text);
+  ASSERT_EQ(shale("fit " + file("bench.json") + " -o " + file("constants.json")).exit, 0);
+  const nlohmann::json constants = nlohmann::json::parse(read(file("constants.json")));
+  EXPECT_EQ(constants["schema"], "shale-constants/1");
+  EXPECT_GT(constants["roof_gops"], 0);
+  const Outcome again = shale("bench " + file("small.tir") + " --repeat 3 --json --constants " +
+                              file("constants.json"));
+  ASSERT_EQ(again.exit, 0) << again.text;
+  // One dispatch was fitted, so what was measured then is predicted now, at the roof of now.
+  const nlohmann::json before = nlohmann::json::parse(measured.text)["models"][0],
+                       after = nlohmann::json::parse(again.text)["models"][0];
+  EXPECT_NEAR(after["total"]["predicted_ms"].get<double>() * after["roof_gop_per_s"].get<double>(),
+              before["total"]["time_ms"].get<double>() * before["roof_gop_per_s"].get<double>(),
+              1e-6 * before["roof_gop_per_s"].get<double>());
+  for (const auto& [text, message] :
+       {std::pair<std::string, std::string>{"{}", "shale bench"},
+        {R"({"models": [{"roof_gop_per_s": 1, "dispatches": [{"time_ms": 0}]}]})", "time_ms"},
+        {R"({"models": [{"roof_gop_per_s": 1, "dispatches": [{"time_ms": 1}]}]})", "work"}}) {
+    write(file("broken.json"), text);
+    const Outcome refused = shale("fit " + file("broken.json"));
+    EXPECT_EQ(refused.exit, 1) << text;
+    EXPECT_NE(refused.text.find(message), std::string::npos) << refused.text;
+  }
+}
+
+TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
+  const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
+  const std::string command =
+      "trade " + scene + " -o " + file("trade") + " -m " + kModels + "/srpo_x2," + kModels +
+      "/baselines/bilinear," + kModels +
+      "/baselines/nearest --output-size 96x64 --model-at 1920x1080 --frames 2";
+  const Outcome first = shale(command + " --json");
+  ASSERT_EQ(first.exit, 0) << first.text;
+  const nlohmann::json json = nlohmann::json::parse(first.text);
+  const nlohmann::json& rows = json["scenes"][0]["methods"];
+  ASSERT_EQ(rows.size(), 3u);
+  for (const auto& row : rows) {
+    EXPECT_GT(row["psnr_db"], 5) << row;
+    EXPECT_GT(row["modelled"]["total_ms"], 0) << row;
+    EXPECT_EQ(row["baseline"], row["precision"] == "") << row;
+    EXPECT_EQ(row["modelled"]["gop"] == 0.0, row["baseline"]) << row;
+  }
+  // The choice agrees with the rows.
+  const nlohmann::json& choice = json["scenes"][0]["choice"];
+  double best = 0;
+  for (const auto& row : rows)
+    if (row["modelled"]["total_ms"] <= 4) best = std::max(best, row["psnr_db"].get<double>());
+  EXPECT_DOUBLE_EQ(choice["best_psnr_db"], best);
+  EXPECT_GE(choice["enough_psnr_db"].get<double>(), best - 0.25);
+  EXPECT_LE(choice["enough_ms"], choice["best_ms"]);
+  EXPECT_EQ(nlohmann::json::parse(read(file("trade/trade.json"))), json);
+  EXPECT_EQ(
+      nlohmann::json::parse(between(read(file("trade/trade.html")), "id=\"data\">", "</script>")),
+      json);
+  // Again: nothing is measured, so that the measured times are those of before.
+  EXPECT_EQ(nlohmann::json::parse(shale(command + " --json").text), json);
+  // A cell that was cut short is measured again.
+  for (const auto& cell : fs::directory_iterator(file("trade/cells"))) write(cell.path(), "{");
+  const nlohmann::json again = nlohmann::json::parse(shale(command + " --json").text);
+  EXPECT_EQ(again["scenes"][0]["methods"][0]["psnr_db"], rows[0]["psnr_db"]);
+  for (const char* wrong :
+       {" --precisions int9", " --scales 0.5", " --output-size 96", " --scales 7"})
+    EXPECT_NE(shale(command + wrong).exit, 0) << wrong;
+  EXPECT_NE(shale("trade " + scene + " -o " + file("t") + " -m " + kModels + "/scenes").exit, 0);
 }
 
 TEST_F(Cli, BenchComparesWithTheRoofAndTheNaiveKernel) {

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "tools/eval/chart_js.h"
+#include "tools/eval/data_page.h"
 #include "tools/eval/page.h"
 #include "tools/eval/tonemap.h"
 
@@ -185,38 +186,6 @@ Json mean_of_scenes(const Json& scenes, size_t method) {
 }
 
 // The page.
-
-/// For text and for attributes in double quotes. Names come from files: what is not UTF-8 is replaced.
-std::string escaped(const std::string& text) {
-  const std::string valid =
-      Json::parse(Json(text).dump(-1, ' ', false, Json::error_handler_t::replace))
-          .get<std::string>();
-  std::string result;
-  for (const char c : valid) {
-    switch (c) {
-      case '&': result += "&amp;"; break;
-      case '<': result += "&lt;"; break;
-      case '>': result += "&gt;"; break;
-      case '"': result += "&quot;"; break;
-      case '\'': result += "&#39;"; break;
-      default: result += c;
-    }
-  }
-  return result;
-}
-
-/// JSON that no tag can end.
-std::string script_json(const Json& json) {
-  const std::string text = json.dump(-1, ' ', false, Json::error_handler_t::replace);
-  std::string result;
-  for (const char c : text) {
-    if (c == '<')
-      result += "\\u003c";
-    else
-      result += c;
-  }
-  return result;
-}
 
 class PageWriter {
  public:

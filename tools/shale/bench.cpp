@@ -2,6 +2,7 @@
 // start takes.
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdlib>
 #include <filesystem>
 
@@ -21,6 +22,9 @@ struct Arguments {
   uint32_t repeat = 7;
   bool naive = false, start = false, markdown = false, json = false;
 };
+
+/// A prediction within this share of the measured time is close.
+constexpr double kClose = 0.25;
 
 double elapsed_ms(std::chrono::steady_clock::time_point begin) {
   return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin)
@@ -80,7 +84,8 @@ Json start_json(const StartTimes& times) {
 }
 
 Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const std::string& path) {
-  SHALE_TRY(ModelFiles model, load_model(path, arguments.compile.frame));
+  SHALE_TRY(ModelFiles model,
+            load_model(path, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   const auto begin = std::chrono::steady_clock::now();
   SHALE_TRY(const Compiled compiled, compile_model(model, options));
@@ -103,11 +108,10 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
     json["second_start"] = start_json(second);
   }
   std::vector<DispatchTime> times, naive_times;
-  SHALE_TRY(const double before, measure_mul_add_roof(device, arguments.repeat));
-  SHALE_TRY(const std::vector<Tensor> outputs,
-            run_network(device, package, inputs, arguments.repeat, &times));
-  SHALE_TRY(const double after, measure_mul_add_roof(device, arguments.repeat));
-  const double roof = (before + after) / 2;
+  SHALE_TRY(RoofedTimes measured, measure_under_roof(device, package, inputs, arguments.repeat));
+  times = std::move(measured.times);
+  const std::vector<Tensor>& outputs = measured.outputs;
+  const double roof = measured.roof;
   json["roof_gop_per_s"] = roof;
   if (arguments.naive) {
     CompileOptions naive = options;
@@ -126,7 +130,14 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
       if (time.name == name || time.name.starts_with(name + "#")) sum += time.time_us;
     return sum;
   };
-  double total_us = 0, total_naive_us = 0, total_gop = 0;
+  // The machine's speed moves with its clock and its neighbours: predictions follow the roof.
+  const DeviceProfile& profile = *find_profile(variant.target);
+  const auto measured_constants = options.constants.find(variant.target);
+  const double profile_roof = measured_constants != options.constants.end()
+                                  ? measured_constants->second.roof_gops
+                                  : profile.roof_gops;
+  const double at_roof = profile_roof > 0 ? profile_roof / roof : 1;
+  double total_us = 0, total_naive_us = 0, total_gop = 0, predicted_us = 0, close_us = 0;
   const std::vector<Dispatch>& dispatches = graph_of(variant).dispatches;
   for (size_t i = 0; i < dispatches.size(); ++i) {
     const double gop = 2e-9 * static_cast<double>(dispatches[i].cost.macs);
@@ -137,8 +148,16 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
                                                      {"gop", gop},
                                                      {"gop_per_s", rate},
                                                      {"share_of_roof", rate / roof}});
+    const double predicted = at_roof * dispatches[i].cost.time_us;
+    row["predicted_ms"] = 1e-3 * predicted;
+    for (size_t k = 0; k < kWorkCount; ++k)
+      if (const double amount = compiled.work.front()[i].at(k); amount > 0)
+        row["work"][work_info(static_cast<Work>(k)).name] = amount;
     total_us += times[i].time_us;
     total_gop += gop;
+    predicted_us += predicted;
+    if (std::abs(predicted - times[i].time_us) <= kClose * times[i].time_us)
+      close_us += times[i].time_us;
     if (!arguments.naive) continue;
     const double other = naive_us(dispatches[i].name);
     row["naive_ms"] = 1e-3 * other;
@@ -149,7 +168,9 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
   json["total"] = {{"time_ms", 1e-3 * total_us},
                    {"gop", total_gop},
                    {"gop_per_s", rate},
-                   {"share_of_roof", rate / roof}};
+                   {"share_of_roof", rate / roof},
+                   {"predicted_ms", 1e-3 * predicted_us},
+                   {"close_share", close_us / total_us}};
   if (arguments.naive) {
     json["total"]["naive_ms"] = 1e-3 * total_naive_us;
     json["total"]["times_naive"] = total_naive_us / total_us;
@@ -164,29 +185,32 @@ void print_row(bool markdown, const std::string& name, const std::string& kernel
                ? fmt::format("{:.{}f}{}", factor * row[key].get<double>(), digits, unit)
                : std::string();
   };
-  const char* form =
-      markdown ? "| {} | {} | {} | {} | {} | {} |\n" : "  {:<14} {:<20} {:>10} {:>8} {:>8} {:>8}\n";
+  const char* form = markdown ? "| {} | {} | {} | {} | {} | {} | {} |\n"
+                              : "  {:<14} {:<20} {:>10} {:>10} {:>8} {:>8} {:>8}\n";
   fmt::print(fmt::runtime(form), name, kernel, number("time_ms", 1, markdown ? "" : " ms", 2),
-             number("gop_per_s", 1, "", 1), number("share_of_roof", 100, " %", 0),
-             number("times_naive", 1, "x", 1));
+             number("predicted_ms", 1, markdown ? "" : " ms", 2), number("gop_per_s", 1, "", 1),
+             number("share_of_roof", 100, " %", 0), number("times_naive", 1, "x", 1));
 }
 
 void print_model(const Json& json, bool markdown) {
   std::string inputs;
   for (const Json& shape : json["inputs"]) inputs += " " + shape.dump();
   fmt::print("{}{}{}:\n\n", markdown ? "\n### " : "\n", json["model"].get<std::string>(), inputs);
-  fmt::print(
-      "{}",
-      markdown
-          ? "| layer | kernel | ms | GOP/s | of roof | naive |\n|---|---|---:|---:|---:|---:|\n"
-          : "  layer          kernel                     time    GOP/s  of roof "
-            "   naive\n");
+  fmt::print("{}", markdown ? "| layer | kernel | ms | predicted | GOP/s | of roof | naive "
+                              "|\n|---|---|---:|---:|---:|---:|---:|\n"
+                            : "  layer          kernel                     time  predicted    "
+                              "GOP/s  of roof    naive\n");
   for (const Json& row : json["dispatches"])
     print_row(markdown, row["name"].get<std::string>(), row["kernel"].get<std::string>(), row);
   print_row(markdown, "total", fmt::format("{} dispatches", json["dispatches"].size()),
             json["total"]);
   fmt::print("\nroof before and after, float32 mul+add: {:.1f} GOP/s\n",
              json["roof_gop_per_s"].get<double>());
+  fmt::print(
+      "predicted {:+.0f} % in all; {:.0f} % of the time in layers predicted within {:.0f} %\n",
+      100 * (json["total"]["predicted_ms"].get<double>() / json["total"]["time_ms"].get<double>() -
+             1),
+      100 * json["total"]["close_share"].get<double>(), 100 * kClose);
   fmt::print("compiled in {:.0f} ms to {:.1f} MB; arena {} bytes, {:.1f} % above the bound\n",
              json["compile_ms"].get<double>(), 1e-6 * json["package_bytes"].get<double>(),
              json["arena_bytes"].get<uint64_t>(),

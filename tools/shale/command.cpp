@@ -66,11 +66,13 @@ std::string json_text(const Json& json) {
 
 void print_json(const Json& json) { fmt::print("{}", json_text(json)); }
 
-Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path) {
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
+                              const std::string& precision) {
   ModelFiles model;
   std::error_code ignored;
   const bool is_folder = fs::is_directory(path, ignored);
-  model.path = is_folder ? (fs::path(path) / "model.tosa").string() : path;
+  const std::string file = precision == "int8" ? "model.tosa" : "model." + precision + ".tosa";
+  model.path = is_folder ? (fs::path(path) / file).string() : path;
   const std::string stem =
       is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
                 : fs::path(path).stem().string();
@@ -91,6 +93,8 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
     model.path = frame;
     return model;
   }
+  if (is_folder && precision != "int8" && !fs::exists(model.path, ignored))
+    return bad_input(path, "has no {}: the model is not there in {}", file, precision);
   SHALE_TRY(model.bytes, read_file(model.path));
   return model;
 }
@@ -140,6 +144,41 @@ Result<std::map<std::string, std::string>> read_choices(const std::string& path)
     choices[name] = kernel.get<std::string>();
   }
   return choices;
+}
+
+Json constants_json(const std::string& target, const MeasuredConstants& constants) {
+  Json json{{"schema", kConstantsSchema}, {"target", target}, {"roof_gops", constants.roof_gops}};
+  for (size_t i = 0; i < kWorkCount; ++i)
+    json["ns"][work_info(static_cast<Work>(i)).name] = constants.ns.at(i);
+  return json;
+}
+
+Result<std::map<std::string, MeasuredConstants>> read_constants(const std::string& path) {
+  SHALE_TRY(const std::string text, read_text(path));
+  const Json json = Json::parse(text, nullptr, false);
+  const auto number = [](const Json& object, std::string_view key) -> std::optional<double> {
+    const auto found = object.find(key);
+    if (found == object.end() || !found->is_number()) return std::nullopt;
+    const double value = found->get<double>();
+    return value >= 0 && std::isfinite(value) ? std::optional(value) : std::nullopt;
+  };
+  if (!json.is_object() || json.value("schema", Json()) != kConstantsSchema ||
+      !json.contains("target") || !json["target"].is_string() || !json.contains("ns") ||
+      !json["ns"].is_object())
+    return bad_input(path, "is no file of shale fit, expected schema {}", kConstantsSchema);
+  const std::string target = json["target"].get<std::string>();
+  if (!find_profile(target)) return bad_input(path, "target: \"{}\" is unknown", target);
+  MeasuredConstants constants;
+  const std::optional<double> roof = number(json, "roof_gops");
+  if (!roof) return bad_input(path, "roof_gops: expected a number of at least 0");
+  constants.roof_gops = *roof;
+  for (size_t i = 0; i < kWorkCount; ++i) {
+    const std::string_view name = work_info(static_cast<Work>(i)).name;
+    const std::optional<double> ns = number(json["ns"], name);
+    if (!ns) return bad_input(path, "ns.{}: expected a number of at least 0", name);
+    constants.ns.at(i) = *ns;
+  }
+  return std::map<std::string, MeasuredConstants>{{target, constants}};
 }
 
 void ImportArguments::add_to(CLI::App& app) {
@@ -192,9 +231,13 @@ void CompileArguments::add_to(CLI::App& app) {
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");
+  app.add_option("--constants", constants, "file of shale fit: constants of the cost model");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
+  app.add_option("--precision", precision, "of a model folder: int8, int16, fp16 or fp32")
+      ->check(
+          CLI::IsMember(std::vector<std::string>(std::begin(kPrecisions), std::end(kPrecisions))));
   app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
   app.add_option("--render", render, "size of the rendered frames of a sandwich, WIDTHxHEIGHT");
   auto* size = app.add_option("--output-size", output, "size of its results, WIDTHxHEIGHT");
@@ -219,6 +262,9 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
     if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   if (!choices.empty()) {
     SHALE_TRY(options.choices, read_choices(choices));
+  }
+  if (!constants.empty()) {
+    SHALE_TRY(options.constants, read_constants(constants));
   }
   SHALE_TRY(options.import, import.options());
   options.passes.input_shapes = options.import.input_shapes;

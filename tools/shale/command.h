@@ -62,11 +62,16 @@ struct ModelFiles {
   std::string frame_folder;  ///< shader paths are relative to it
 };
 
+/// The precisions that a model folder may hold: model.tosa is INT8, the others are model.fp32.tosa
+/// and so on.
+inline constexpr const char* kPrecisions[] = {"int8", "int16", "fp16", "fp32"};
+
 /// `path` is a model file, or a folder with model.tosa and (optionally) frame.json; a sandwich
 /// without a network has no model.tosa. `frame_path` names a frame.json for a model file; empty is
-/// none.
+/// none. `precision` (of kPrecisions) chooses the file of a folder.
 /// Errors: kIo, kBadInput; the file is named.
-Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path);
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
+                              const std::string& precision = "int8");
 
 /// The kinds of model files, for help texts.
 inline constexpr const char* kModelKinds = ".tosa, .tir, .vgf, .spv";
@@ -91,7 +96,7 @@ struct CompileArguments {
   ImportArguments import;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
-  std::string frame, render, output, choices;
+  std::string frame, render, output, choices, constants, precision = "int8";
   double ratio = 0;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
@@ -106,6 +111,12 @@ inline constexpr const char* kChoicesSchema = "shale-choices/1";
 /// Kernel family by layer, from a file of `shale tune`.
 /// Errors: kIo, kBadInput naming the file and the field.
 Result<std::map<std::string, std::string>> read_choices(const std::string& path);
+
+/// Constants of the cost model by target, as `shale fit` writes them.
+inline constexpr const char* kConstantsSchema = "shale-constants/1";
+Json constants_json(const std::string& target, const MeasuredConstants& constants);
+/// Errors: kIo, kBadInput naming the file and the field.
+Result<std::map<std::string, MeasuredConstants>> read_constants(const std::string& path);
 
 /// "960x540" to a size.
 /// Errors: kBadInput naming the option.

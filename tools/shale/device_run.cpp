@@ -62,32 +62,61 @@ std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTim
   return median;
 }
 
-Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
-                                        const std::vector<Tensor>& inputs, uint32_t repeat,
-                                        std::vector<DispatchTime>* times, StartTimes* start) {
-  using Clock = std::chrono::steady_clock;
-  const auto since_ms = [](Clock::time_point begin) {
-    return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
-  };
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double since_ms(Clock::time_point begin) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
+}
+
+}  // namespace
+
+/// In the order of construction: a session needs its pipeline.
+struct NetworkRun::State {
+  const vk::Context& context;
+  DataGraphPipeline pipeline;
+  Session session;
+  vk::Timestamps timestamps;
+  std::vector<vk::Buffer> inputs = {}, outputs = {};
+
+  std::span<const Segment> segments() const { return {&pipeline.graph(), 1}; }
+  Result<void> submit(vk::Timestamps* measured) {
+    Result<void> recorded;
+    SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
+      if (measured) measured->start(commands);
+      recorded = session.record(commands, measured);
+      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
+                         VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+    }));
+    return recorded;
+  }
+};
+
+Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& package,
+                                      const std::vector<Tensor>& inputs, StartTimes* start) {
   const Clock::time_point begin = Clock::now();
   const vk::Context& context = device.context();
-  SHALE_TRY(const DataGraphPipeline pipeline,
+  SHALE_TRY(DataGraphPipeline pipeline,
             DataGraphPipeline::create(context, package, {.cache = device.cache()}));
   SHALE_TRY(Session session, Session::create(pipeline));
   SHALE_TRY_VOID(session.allocate_memory());
   if (start) start->create_ms = since_ms(begin);
+  SHALE_TRY(vk::Timestamps timestamps,
+            vk::Timestamps::create(context, interval_count({&pipeline.graph(), 1})));
+  const auto state = std::make_shared<State>(
+      State{context, std::move(pipeline), std::move(session), std::move(timestamps)});
 
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
-  const std::vector<const Resource*> in = tensors_of(pipeline.variant(), Category::kInput);
-  const std::vector<const Resource*> out = tensors_of(pipeline.variant(), Category::kOutput);
+  const std::vector<const Resource*> in = tensors_of(state->pipeline.variant(), Category::kInput);
   if (in.size() != inputs.size())
     return bad_input("", "found {} inputs, the network has {}", inputs.size(), in.size());
-  std::vector<vk::Buffer> buffers;
-  const auto add = [&](const Resource& resource, vk::MemoryKind kind) -> Result<void> {
-    const uint64_t size = (resource.size_bytes + 3) / 4 * 4;
+  const auto add = [&](const Resource& resource, vk::MemoryKind kind,
+                       std::vector<vk::Buffer>& buffers) -> Result<void> {
+    const uint64_t size = bound_bytes(resource);
     SHALE_TRY(vk::Buffer buffer, vk::Buffer::create(context, size, kUsage, kind));
-    SHALE_TRY_VOID(session.bind_tensor(resource.name, {buffer.get(), 0, size}));
+    SHALE_TRY_VOID(state->session.bind_tensor(resource.name, {buffer.get(), 0, size}));
     buffers.push_back(std::move(buffer));
     return {};
   };
@@ -95,45 +124,52 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
     if (inputs[i].type.dtype != in[i]->dtype || inputs[i].type.shape != in[i]->shape)
       return bad_input("input \"" + in[i]->name + "\"", "found {}, expected {}",
                        type_text(inputs[i].type), type_text({in[i]->dtype, in[i]->shape}));
-    SHALE_TRY_VOID(add(*in[i], vk::MemoryKind::kUpload));
-    std::copy(inputs[i].bytes.begin(), inputs[i].bytes.end(), buffers.back().mapped().begin());
+    SHALE_TRY_VOID(add(*in[i], vk::MemoryKind::kUpload, state->inputs));
+    std::copy(inputs[i].bytes.begin(), inputs[i].bytes.end(),
+              state->inputs.back().mapped().begin());
   }
-  for (const Resource* resource : out) SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kReadback));
+  for (const Resource* resource : tensors_of(state->pipeline.variant(), Category::kOutput))
+    SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kReadback, state->outputs));
+  return NetworkRun(state);
+}
 
-  const std::span<const Segment> segments(&pipeline.graph(), 1);
-  std::optional<vk::Timestamps> timestamps;
-  if (times) {
-    SHALE_TRY(timestamps, vk::Timestamps::create(context, interval_count(segments)));
-  }
-  std::vector<std::vector<DispatchTime>> measured;
-  // Drivers may compile a shader at its first dispatch, so a run that is not measured goes first.
-  const uint32_t warm_up = times ? 1 : 0;
-  for (uint32_t i = 0; i < repeat + warm_up; ++i) {
-    Result<void> recorded;
-    const Clock::time_point run = Clock::now();
-    SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
-      if (timestamps) timestamps->start(commands);
-      recorded = session.record(commands, timestamps ? &*timestamps : nullptr);
-      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
-                         VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
-    }));
-    SHALE_TRY_VOID(recorded);
-    if (start && i == 0) start->first_ms = since_ms(run);
-    if (timestamps && i >= warm_up) {
-      SHALE_TRY(std::vector<DispatchTime> frame, measured_times(*timestamps, segments));
-      measured.push_back(std::move(frame));
-    }
-  }
-  if (times) *times = median_times(measured);
+Result<void> NetworkRun::run() { return state_->submit(nullptr); }
+
+Result<std::vector<DispatchTime>> NetworkRun::measure() {
+  SHALE_TRY_VOID(state_->submit(&state_->timestamps));
+  return measured_times(state_->timestamps, state_->segments());
+}
+
+std::vector<Tensor> NetworkRun::outputs() const {
   std::vector<Tensor> outputs;
-  for (size_t i = 0; i < out.size(); ++i) {
-    Tensor tensor{{out[i]->dtype, out[i]->shape}, {}};
-    const std::span<uint8_t> mapped = buffers[in.size() + i].mapped();
+  for (const Resource* resource : tensors_of(state_->pipeline.variant(), Category::kOutput)) {
+    Tensor tensor{{resource->dtype, resource->shape}, {}};
+    const std::span<uint8_t> mapped = state_->outputs[outputs.size()].mapped();
     tensor.bytes.assign(mapped.begin(),
-                        mapped.begin() + static_cast<std::ptrdiff_t>(out[i]->size_bytes));
+                        mapped.begin() + static_cast<std::ptrdiff_t>(resource->size_bytes));
     outputs.push_back(std::move(tensor));
   }
   return outputs;
+}
+
+Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
+                                        const std::vector<Tensor>& inputs, uint32_t repeat,
+                                        std::vector<DispatchTime>* times, StartTimes* start) {
+  SHALE_TRY(NetworkRun network, NetworkRun::create(device, package, inputs, start));
+  const Clock::time_point first = Clock::now();
+  SHALE_TRY_VOID(network.run());
+  if (start) start->first_ms = since_ms(first);
+  std::vector<std::vector<DispatchTime>> measured;
+  for (uint32_t i = times ? 0 : 1; i < repeat; ++i) {
+    if (!times) {
+      SHALE_TRY_VOID(network.run());
+      continue;
+    }
+    SHALE_TRY(std::vector<DispatchTime> frame, network.measure());
+    measured.push_back(std::move(frame));
+  }
+  if (times) *times = median_times(measured);
+  return network.outputs();
 }
 
 Result<void> match_shapes(Graph& graph, const Variant& variant) {

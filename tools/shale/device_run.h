@@ -54,10 +54,31 @@ struct StartTimes {
   double first_ms = 0;   ///< first run, in which drivers may go on compiling
 };
 
-/// Runs the package's graph `repeat` times on the inputs, in the order of the graph; returns the
-/// outputs of the last run. With `times`, the median over the runs of each dispatch, after one run
-/// that is not measured; with `start`, how long it took to get there.
-/// Errors: kBadInput if inputs do not match the package, kDevice.
+/// A package's graph with inputs of its own, ready to be run again and again.
+class NetworkRun {
+ public:
+  /// Inputs in the order of the graph; `device` must outlive the run. With `start`, how long it took
+  /// to get here.
+  /// Errors: kBadInput if inputs do not match the package, kDevice.
+  static Result<NetworkRun> create(const ToolDevice& device, const Package& package,
+                                   const std::vector<Tensor>& inputs, StartTimes* start = nullptr);
+  /// Runs once. Errors: kDevice.
+  Result<void> run();
+  /// Runs once and measures each dispatch; a driver may compile at the first run.
+  Result<std::vector<DispatchTime>> measure();
+  /// Of the last run, in the order of the graph.
+  std::vector<Tensor> outputs() const;
+
+ private:
+  struct State;
+  explicit NetworkRun(std::shared_ptr<State> state) : state_(std::move(state)) {}
+  std::shared_ptr<State> state_;
+};
+
+/// Runs the package's graph `repeat` times on the inputs; returns the outputs of the last run. With
+/// `times`, the median over the runs of each dispatch, after one run that is not measured; with
+/// `start`, how long it took to get there.
+/// Errors: as NetworkRun.
 Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package& package,
                                         const std::vector<Tensor>& inputs, uint32_t repeat = 1,
                                         std::vector<DispatchTime>* times = nullptr,

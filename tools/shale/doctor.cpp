@@ -27,8 +27,8 @@ Json kernels_of(const DeviceProfile& profile) {
   Json names = Json::array();
   for (const KernelFamily& family : all_kernels()) {
     const bool is_for = family.literals                      ? profile.literal_weights
-                        : family.name == "conv2d_s8_coopmat" ? profile.matrix_gops > 0
-                        : family.name == "conv2d_s8_dot8"    ? profile.dot8_gops > 0
+                        : family.name == "conv2d_s8_coopmat" ? profile.ns[Work::kMatrixMac] > 0
+                        : family.name == "conv2d_s8_dot8"    ? profile.ns[Work::kDotMac] > 0
                                                              : true;
     if (is_for) names.push_back(family.name);
   }

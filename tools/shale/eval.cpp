@@ -2,11 +2,8 @@
 #include <filesystem>
 
 #include "ir/base/file.h"
-#include "tools/eval/html_report.h"
-#include "tools/eval/sequence.h"
-#include "tools/eval/tonemap.h"
 #include "tools/shale/command.h"
-#include "tools/shale/player.h"
+#include "tools/shale/evaluate.h"
 #include "tools/shale/source.h"
 
 namespace shale {
@@ -24,12 +21,6 @@ struct Arguments {
   bool no_time = false, json = false;
 };
 
-/// A sandwich that is ready to play.
-struct Method {
-  std::string name;
-  std::unique_ptr<Player> player;
-};
-
 /// The methods at one pair of sizes; rebuilt only when a source has others.
 class Methods {
  public:
@@ -44,7 +35,7 @@ class Methods {
   }
 
   /// Errors: as load_sandwich and Player::create; kBadInput if a package has other sizes.
-  Result<std::vector<Method>*> at(Extent render, Extent output) {
+  Result<std::vector<PlayedMethod>*> at(Extent render, Extent output) {
     if (render == render_ && output == output_) return &methods_;
     methods_.clear();
     for (const std::string& path : arguments_.methods) {
@@ -55,7 +46,7 @@ class Methods {
                          sizes.first.width, sizes.first.height, sizes.second.width,
                          sizes.second.height, render.width, render.height, output.width,
                          output.height);
-      Method method{sandwich.name, nullptr};
+      PlayedMethod method{sandwich.name, nullptr};
       SHALE_TRY(method.player, Player::create(device_, sandwich.package));
       methods_.push_back(std::move(method));
     }
@@ -68,79 +59,8 @@ class Methods {
   const Arguments& arguments_;
   const ToolDevice& device_;
   Extent render_, output_;
-  std::vector<Method> methods_;
+  std::vector<PlayedMethod> methods_;
 };
-
-/// Numbers of the frames whose pictures go into the page: the last, and others spread before it.
-bool is_shown(uint32_t index, uint32_t count, uint32_t shown) {
-  for (uint32_t i = 1; i <= std::min(shown, count); ++i)
-    if (index + 1 == static_cast<uint32_t>(uint64_t{count} * i / shown)) return true;
-  return false;
-}
-
-Result<EvalScene> evaluate(const Arguments& arguments, FrameSource& source,
-                           std::vector<Method>& methods) {
-  const Extent render = source.render_size(), output = source.output_size();
-  const uint32_t count = source.frame_count();
-  EvalScene scene;
-  scene.name = source.name();
-  scene.frames = count;
-  scene.first_frame = arguments.source.first;
-  scene.size =
-      fmt::format("{}x{} to {}x{}", render.width, render.height, output.width, output.height);
-  scene.methods.resize(methods.size());
-  ReferenceTrack track;
-  std::vector<SequenceEvaluator> evaluators(methods.size());
-  std::optional<FrameCamera> previous;
-  for (Method& method : methods) method.player->reset();
-  Progress progress("evaluating " + scene.name);
-  for (uint32_t i = 0; i < count; ++i) {
-    if (!progress.step(i, count))
-      return bad_input(scene.name, "interrupted after {} of {} frames", i, count);
-    SHALE_TRY(const SourceFrame frame, source.frame(i, true));
-    if (frame.truth.empty()) return bad_input(scene.name, "frame {} has no ground truth", i);
-    const bool still = previous && same_view(*previous, frame.camera);
-    previous = frame.camera;
-    SHALE_TRY_VOID(
-        track.advance({.display = display_image(frame.truth, frame.camera.exposure),
-                       .motion = frame.truth_motion.empty() ? nullptr : &frame.truth_motion,
-                       .depth = frame.truth_depth.empty() ? nullptr : &frame.truth_depth,
-                       .cut = frame.camera.cut,
-                       .camera_still = still}));
-    const bool shows = !arguments.page.empty() && is_shown(i, count, arguments.shown);
-    std::vector<FloatImage> pictures(methods.size()), maps(methods.size());
-    for (size_t m = 0; m < methods.size(); ++m) {
-      std::vector<DispatchTime> times;
-      SourceFrame given = frame;
-      if (i == 0 && !arguments.no_time) {
-        SHALE_TRY_VOID([&]() -> Result<void> {
-          SourceFrame once = frame;
-          const Result<FloatImage> ignored = methods[m].player->show(once);
-          if (!ignored) return ignored.error();
-          methods[m].player->reset();
-          return {};
-        }());
-      }
-      Result<FloatImage> result =
-          methods[m].player->show(given, arguments.no_time ? nullptr : &times);
-      if (!result) return in_file(methods[m].name, result.error());
-      std::optional<double> time_ms;
-      if (!arguments.no_time) {
-        double total_us = 0;
-        for (const DispatchTime& time : times) total_us += time.time_us;
-        time_ms = total_us / 1000;
-      }
-      if (shows) pictures[m] = *result;
-      SHALE_TRY(const FrameMetrics metrics,
-                evaluators[m].add(*std::move(result), track, time_ms, shows ? &maps[m] : nullptr));
-      scene.methods[m].frames.push_back({metrics, time_ms});
-    }
-    if (shows) scene.shown.push_back(show_frame(i, track.reference().picture(), pictures, maps));
-  }
-  for (size_t m = 0; m < methods.size(); ++m) scene.methods[m].means = evaluators[m].finish();
-  scene.notes.push_back("IF-SSIM masks by depth as it is stored, which is hyperbolic.");
-  return scene;
-}
 
 void print_table(const EvalReport& report) {
   size_t wide = 8;
@@ -188,11 +108,15 @@ Result<int> eval(const Arguments& arguments) {
           SHALE_TRY(source, open_scene(input, arguments.source, device, sizes.first, sizes.second));
         }
       }
-      SHALE_TRY(std::vector<Method>* const ready,
+      SHALE_TRY(std::vector<PlayedMethod>* const ready,
                 methods.at(source->render_size(), source->output_size()));
       report.methods.clear();
-      for (const Method& method : *ready) report.methods.push_back(method.name);
-      Result<EvalScene> scene = evaluate(arguments, *source, *ready);
+      for (const PlayedMethod& method : *ready) report.methods.push_back(method.name);
+      Result<EvalScene> scene =
+          evaluate_scene(*source, *ready,
+                         {.first_frame = arguments.source.first,
+                          .timed = !arguments.no_time,
+                          .shown = arguments.page.empty() ? 0 : arguments.shown});
       if (!scene) return in_file(input, scene.error());
       report.scenes.push_back(*std::move(scene));
     }

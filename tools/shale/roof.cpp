@@ -1,6 +1,7 @@
 #include "tools/shale/roof.h"
 
 #include <algorithm>
+#include <optional>
 
 #include "compiler/spirv/check.h"
 #include "compiler/spirv/glsl.h"
@@ -40,9 +41,9 @@ Probe arithmetic(const char* type, const char* update, const char* change, int s
   return probe;
 }
 
-/// Median time of a run in microseconds.
-Result<double> time_us(const ToolDevice& device, const Probe& probe, uint32_t repeat) {
-  constexpr int64_t kInputWords = 1 << 20;
+constexpr int64_t kInputWords = 1 << 20;
+
+Result<NetworkRun> prepare(const ToolDevice& device, const Probe& probe) {
   const std::string source =
       "#version 450\n#extension GL_EXT_spirv_intrinsics : enable\n" + probe.declarations +
       fmt::format(
@@ -80,10 +81,21 @@ Result<double> time_us(const ToolDevice& device, const Probe& probe, uint32_t re
   variant.requirements.features = needs.features;
   variant.requirements.workgroup_invocations = kLocal;
   package.variants = {variant};
-  std::vector<DispatchTime> times;
-  SHALE_TRY(const std::vector<Tensor> outputs,
-            run_network(device, package, {Tensor::zeros({x.dtype, x.shape})}, repeat, &times));
-  return times[0].time_us;
+  return NetworkRun::create(device, package, {Tensor::zeros({x.dtype, x.shape})});
+}
+
+/// Operations or bytes of a run.
+double total_work(const Probe& probe) { return probe.work * probe.groups * kLocal; }
+
+/// Median rate in operations or bytes per nanosecond, after one run that is not measured.
+Result<double> median_rate(NetworkRun& run, double work, uint32_t repeat) {
+  SHALE_TRY_VOID(run.run());
+  std::vector<std::vector<DispatchTime>> measured;
+  for (uint32_t i = 0; i < repeat; ++i) {
+    SHALE_TRY(std::vector<DispatchTime> times, run.measure());
+    measured.push_back(std::move(times));
+  }
+  return 1e-3 * work / std::max(median_times(measured)[0].time_us, 1e-3);
 }
 
 /// The best rate of several probes of one thing, in operations or bytes per nanosecond.
@@ -91,20 +103,37 @@ Result<double> best_rate(const ToolDevice& device, const std::vector<Probe>& pro
                          uint32_t repeat) {
   double best = 0;
   for (const Probe& probe : probes) {
-    SHALE_TRY(const double us, time_us(device, probe, repeat));
-    best = std::max(best, 1e-3 * probe.work * probe.groups * kLocal / std::max(us, 1e-3));
+    SHALE_TRY(NetworkRun run, prepare(device, probe));
+    SHALE_TRY(const double rate, median_rate(run, total_work(probe), repeat));
+    best = std::max(best, rate);
   }
   return best;
 }
 
+std::vector<Probe> mul_add_probes() {
+  return {arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 12, 4, 2),
+          arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 16, 16, 2),
+          arithmetic("float", "a{0} = a{0} * v + {1}.0", "v *= 0.5", 16, 4, 2)};
+}
+
 }  // namespace
 
-Result<double> measure_mul_add_roof(const ToolDevice& device, uint32_t repeat) {
-  return best_rate(device,
-                   {arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 12, 4, 2),
-                    arithmetic("float", "a{0} += v * {1}.0", "v += 1.0", 16, 16, 2),
-                    arithmetic("float", "a{0} = a{0} * v + {1}.0", "v *= 0.5", 16, 4, 2)},
-                   repeat);
+Result<MulAddRoof> MulAddRoof::create(const ToolDevice& device) {
+  constexpr uint32_t kTries = 5;
+  std::optional<MulAddRoof> best;
+  double best_rate = 0;
+  for (const Probe& probe : mul_add_probes()) {
+    SHALE_TRY(NetworkRun run, prepare(device, probe));
+    SHALE_TRY(const double rate, median_rate(run, total_work(probe), kTries));
+    if (rate > best_rate) best = MulAddRoof(std::move(run), total_work(probe)), best_rate = rate;
+  }
+  SHALE_CHECK(best);  // rates are above 0
+  return *std::move(best);
+}
+
+Result<double> MulAddRoof::measure() {
+  SHALE_TRY(const std::vector<DispatchTime> times, run_.measure());
+  return 1e-3 * work_ / std::max(times[0].time_us, 1e-3);
 }
 
 Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat) {
@@ -115,7 +144,7 @@ Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repea
     roofs.push_back({name, rate, unit});
     return {};
   };
-  SHALE_TRY(const double mul_add, measure_mul_add_roof(device, repeat));
+  SHALE_TRY(const double mul_add, best_rate(device, mul_add_probes(), repeat));
   roofs.push_back({"f32 mul+add", mul_add, "GOP/s"});
   SHALE_TRY_VOID(add("f32 fma", "GOP/s",
                      {arithmetic("float", "a{0} = fma(v, {1}.0, a{0})", "v += 1.0", 12, 4, 2),
@@ -145,6 +174,31 @@ Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repea
   read.body += "  int r = s.x + s.y + s.z + s.w;\n";
   SHALE_TRY_VOID(add("storage buffer read", "GB/s", {read}));
   return roofs;
+}
+
+Result<RoofedTimes> measure_under_roof(const ToolDevice& device, const Package& package,
+                                       const std::vector<Tensor>& inputs, uint32_t repeat) {
+  SHALE_TRY(NetworkRun network, NetworkRun::create(device, package, inputs));
+  SHALE_TRY_VOID(network.run());
+  SHALE_TRY(MulAddRoof probe, MulAddRoof::create(device));
+  std::vector<std::vector<DispatchTime>> frames;
+  std::vector<double> roofs;
+  for (uint32_t i = 0; i < repeat; ++i) {
+    SHALE_TRY(const double before, probe.measure());
+    SHALE_TRY(std::vector<DispatchTime> frame, network.measure());
+    SHALE_TRY(const double after, probe.measure());
+    frames.push_back(std::move(frame));
+    roofs.push_back((before + after) / 2);
+  }
+  RoofedTimes result;
+  std::vector<double> sorted = roofs;
+  std::sort(sorted.begin(), sorted.end());
+  result.roof = sorted[sorted.size() / 2];
+  for (size_t i = 0; i < frames.size(); ++i)
+    for (DispatchTime& time : frames[i]) time.time_us *= roofs[i] / result.roof;
+  result.times = median_times(frames);
+  result.outputs = network.outputs();
+  return result;
 }
 
 }  // namespace shale

@@ -22,9 +22,33 @@ struct Roof {
 /// Errors: kDevice.
 Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat);
 
-/// The rate that shares of a roof refer to, float32 multiply and add, alone: to be measured just before
-/// and after a kernel, since a processor's speed changes with what it did in the last minute.
-/// Errors: kDevice.
-Result<double> measure_mul_add_roof(const ToolDevice& device, uint32_t repeat);
+/// The rate that shares of a roof refer to, float32 multiply and add, ready to be measured between
+/// other things: a processor's speed changes with what it and its neighbours did in the last minute.
+class MulAddRoof {
+ public:
+  /// Takes the fastest of several shapes of code. Errors: kDevice.
+  static Result<MulAddRoof> create(const ToolDevice& device);
+  /// GOP/s now, of one run of a few milliseconds. Errors: kDevice.
+  Result<double> measure();
+
+ private:
+  MulAddRoof(NetworkRun run, double work) : run_(std::move(run)), work_(work) {}
+  NetworkRun run_;
+  double work_;  ///< operations of a run
+};
+
+/// Medians of a network's dispatches and of the roof; the outputs are those of the last run.
+struct RoofedTimes {
+  std::vector<DispatchTime> times;
+  double roof = 0;
+  std::vector<Tensor> outputs;
+};
+
+/// Runs the package's graph `repeat` times, after one run that is not measured, and measures the roof
+/// around each: the machine's speed moves with its clock and its neighbours, so every run's times are
+/// taken to the median roof.
+/// `repeat` is at least 1. Errors: as NetworkRun.
+Result<RoofedTimes> measure_under_roof(const ToolDevice& device, const Package& package,
+                                       const std::vector<Tensor>& inputs, uint32_t repeat);
 
 }  // namespace shale

@@ -77,7 +77,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
       return package;
     }
   }
-  SHALE_TRY(ModelFiles model, load_model(arguments.file, arguments.compile.frame));
+  SHALE_TRY(ModelFiles model,
+            load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
   model.frame.reset();  // the network alone
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   SHALE_TRY(Compiled compiled, compile_model(model, options));

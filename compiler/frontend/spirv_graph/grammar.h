@@ -1,6 +1,6 @@
-// compiler/frontend/spirv_graph/grammar.h -- numbers of SPIR-V and of TOSA.001000.1 that graph modules
-// use, as tables. Source: SPIR-V 1.6, SPV_ARM_tensors, SPV_ARM_graph, SPV_EXT_replicated_composites,
-// TOSA.001000.1.
+// compiler/frontend/spirv_graph/grammar.h -- numbers of SPIR-V and of TOSA.001000.1 that graph
+// modules use, as tables. Source: SPIR-V 1.6, SPV_ARM_tensors, SPV_ARM_graph,
+// SPV_EXT_replicated_composites, TOSA.001000.1.
 #pragma once
 
 #include <algorithm>

@@ -14,8 +14,8 @@ namespace shale::spirv_graph {
 /// any size (null, replicated and shared constituents); real modules stay far below.
 inline constexpr int64_t kMaxInlineBytes = int64_t{1} << 26;
 
-/// Largest size, roughly, of the interfaces of all entry points with their names, and of the lists of
-/// their constants: entry points may share variables and graphs, so the file's size is no bound.
+/// Largest size, roughly, of the interfaces of all entry points with their names, and of the lists
+/// of their constants: entry points may share variables and graphs, so the file's size is no bound.
 inline constexpr size_t kMaxListingBytes = size_t{1} << 26;
 
 /// Bytes of external constants, by GraphConstantID.

@@ -1,5 +1,5 @@
-// compiler/frontend/spirv_graph/spirv_graph.h -- SPIR-V graph modules (SPV_ARM_tensors, SPV_ARM_graph,
-// TOSA.001000.1) to and from Graph.
+// compiler/frontend/spirv_graph/spirv_graph.h -- SPIR-V graph modules (SPV_ARM_tensors,
+// SPV_ARM_graph, TOSA.001000.1) to and from Graph.
 #pragma once
 
 #include <cstdint>
@@ -59,13 +59,13 @@ Result<std::vector<SpirvEntryPoint>> list_spirv_entry_points(std::span<const uin
 
 /// Reads one graph of an untrusted module. Constant operands that TOSA has as shapes become shape
 /// values; a 64-bit integer is INT48. Only the constants that the graph uses are decoded. Names are
-/// those of the interface (outside, then OpName of the variable), then OpName, then made up; doubles
-/// get a suffix. An output that repeats an input, a constant or an earlier output under another name
-/// becomes an IDENTITY. Sizes that neither module nor options know stay kDynamic; a result of
-/// unknown rank is [?] until its operands are known. Results whose operands are known get their
-/// type by the operator's rule. The graph is well formed, but verify has still to check it.
-/// Errors: kBadInput for a broken module, kUnsupported for what SPIR-V has and Shale has not; `where`
-/// is the word offset with the instruction's name, or the input, output or graph constant.
+/// those of the interface (outside, then OpName of the variable), then OpName, then made up;
+/// doubles get a suffix. An output that repeats an input, a constant or an earlier output under
+/// another name becomes an IDENTITY. Sizes that neither module nor options know stay kDynamic; a
+/// result of unknown rank is [?] until its operands are known. Results whose operands are known get
+/// their type by the operator's rule. The graph is well formed, but verify has still to check it.
+/// Errors: kBadInput for a broken module, kUnsupported for what SPIR-V has and Shale has not;
+/// `where` is the word offset with the instruction's name, or the input, output or graph constant.
 /// Source: SPV_ARM_tensors revision 2, SPV_ARM_graph revision 3, TOSA.001000.1 revision 2.
 Result<Graph> read_spirv_graph(std::span<const uint8_t> bytes, const SpirvGraphOptions& options);
 
@@ -84,10 +84,12 @@ struct SpirvWriteOptions {
 /// Writes SPIR-V 1.5 with one graph. Binding i of set 0 is input i; outputs follow the inputs.
 /// read_spirv_graph gives the same graph again but for what the format has not: IDENTITY becomes an
 /// alias, INT4 becomes INT8, rank 0 becomes [1] (all three in the interface too: ask
-/// list_spirv_entry_points for its types), an unknown NaN mode becomes PROPAGATE. Results are equal.
-/// Errors: those of verify; kUnsupported, naming the value, for a name with a NUL, and for what does
-/// not fit an instruction's 16-bit length: an inline constant with more than 65,532 elements on an
-/// axis, a name of more than 260,000 bytes, an interface of more tensors than its instruction holds.
+/// list_spirv_entry_points for its types), an unknown NaN mode becomes PROPAGATE. Results are
+/// equal.
+/// Errors: those of verify; kUnsupported, naming the value, for a name with a NUL, and for what
+/// does not fit an instruction's 16-bit length: an inline constant with more than 65,532 elements
+/// on an axis, a name of more than 260,000 bytes, an interface of more tensors than its instruction
+/// holds.
 Result<SpirvGraphModule> write_spirv_graph(const Graph& graph, const SpirvWriteOptions& options);
 
 }  // namespace shale

@@ -1,0 +1,123 @@
+// shale fit: constants of the cost model for the device at hand, from times of shale bench.
+#include "compiler/cost/fit.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "ir/base/file.h"
+#include "tools/shale/command.h"
+
+namespace shale {
+namespace {
+
+struct Arguments {
+  std::vector<std::string> files;
+  std::string output, target = "lavapipe";
+  bool json = false;
+};
+
+/// The work of a row of shale bench.
+Result<WorkTable> read_work(const Json& row, const std::string& where) {
+  if (!row.contains("work") || !row["work"].is_object())
+    return bad_input(where, "has no \"work\"; was it made by an older shale bench?");
+  WorkTable amounts{};
+  for (const auto& [name, amount] : row["work"].items()) {
+    size_t i = 0;
+    while (i < kWorkCount && work_info(static_cast<Work>(i)).name != name) ++i;
+    if (i == kWorkCount || !amount.is_number() || !(amount.get<double>() >= 0))
+      return bad_input(where, "\"work\": \"{}\" is no amount of work", name);
+    amounts.at(i) = amount.get<double>();
+  }
+  return amounts;
+}
+
+struct Data {
+  std::vector<MeasuredWork> rows;
+  std::vector<double> roofs;  ///< of each row
+};
+
+Result<void> read_bench(const std::string& path, Data& data) {
+  SHALE_TRY(const std::string text, read_text(path));
+  const Json json = Json::parse(text, nullptr, false);
+  if (!json.is_object() || !json.contains("models") || !json["models"].is_array())
+    return bad_input(path, "holds no times; shale bench --json writes them");
+  for (const Json& model : json["models"]) {
+    const bool whole = model.is_object() && model.contains("roof_gop_per_s") &&
+                       model["roof_gop_per_s"].is_number() && model.contains("dispatches") &&
+                       model["dispatches"].is_array();
+    const double roof = whole ? model["roof_gop_per_s"].get<double>() : 0;
+    if (!(roof > 0)) return bad_input(path, "a model has no roof or no dispatches");
+    for (size_t i = 0; i < model["dispatches"].size(); ++i) {
+      const Json& row = model["dispatches"][i];
+      const std::string where = fmt::format("{}: dispatch {}", path, i);
+      const bool timed = row.is_object() && row.contains("time_ms") && row["time_ms"].is_number();
+      MeasuredWork measured;
+      measured.time_us = timed ? 1e3 * row["time_ms"].get<double>() : 0;
+      if (!(measured.time_us > 0)) return bad_input(where, "has no \"time_ms\" above 0");
+      SHALE_TRY(measured.amounts, read_work(row, where));
+      data.rows.push_back(measured);
+      data.roofs.push_back(roof);
+    }
+  }
+  return {};
+}
+
+Result<int> run(const Arguments& arguments) {
+  const DeviceProfile* profile = find_profile(arguments.target);
+  if (!profile) return bad_input("--target", "\"{}\" is unknown", arguments.target);
+  Data data;
+  for (const std::string& file : arguments.files) SHALE_TRY_VOID(read_bench(file, data));
+  if (data.rows.empty()) return bad_input("", "the files hold no dispatch");
+  // All times as they would be at one speed of the machine.
+  std::vector<double> sorted = data.roofs;
+  std::nth_element(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2),
+                   sorted.end());
+  MeasuredConstants constants{.roof_gops = sorted[sorted.size() / 2]};
+  for (size_t i = 0; i < data.rows.size(); ++i)
+    data.rows[i].time_us *= data.roofs[i] / constants.roof_gops;
+  constants.ns = fit_constants(data.rows, profile->ns);
+
+  double time = 0, predicted = 0, close = 0;
+  for (const MeasuredWork& row : data.rows) {
+    const double us = work_time_us(row.amounts, constants.ns);
+    time += row.time_us;
+    predicted += us;
+    if (std::abs(us - row.time_us) <= 0.25 * row.time_us) close += row.time_us;
+  }
+  Json json = constants_json(arguments.target, constants);
+  if (!arguments.output.empty()) SHALE_TRY_VOID(write_text(arguments.output, json_text(json)));
+  json["dispatches"] = data.rows.size();
+  json["predicted_of_measured"] = predicted / time;
+  json["close_share"] = close / time;
+  if (arguments.json) {
+    print_json(json);
+    return kDone;
+  }
+  fmt::print("{} dispatches of {} files, at a roof of {:.1f} GOP/s\n", data.rows.size(),
+             arguments.files.size(), constants.roof_gops);
+  for (size_t i = 0; i < kWorkCount; ++i)
+    fmt::print("  {:>12.5g} ns  {}\n", constants.ns.at(i), work_info(static_cast<Work>(i)).what);
+  fmt::print(
+      "predicted {:+.1f} % in all; {:.0f} % of the time in dispatches predicted within 25 %\n",
+      100 * (predicted / time - 1), 100 * close / time);
+  return kDone;
+}
+
+}  // namespace
+
+Action add_fit(CLI::App& app) {
+  auto arguments = std::make_shared<Arguments>();
+  app.add_option("bench", arguments->files, "results of shale bench --json, of several sizes")
+      ->required();
+  app.add_option("-o,--output", arguments->output, "file for the constants (JSON)");
+  app.add_option("--target", arguments->target, "device class whose constants they replace");
+  app.add_flag("--json", arguments->json, "print the constants as JSON");
+  app.footer(
+      "Example: shale fit a.json b.json -o here.json\n"
+      "after     shale bench models/srpo_x2 --render 640x360 --json > a.json\n"
+      "          shale bench models/srpo_x2 --render 1280x720 --json > b.json\n"
+      "then      shale bench models/srpo_x2 --render 960x540 --constants here.json");
+  return [arguments] { return run(*arguments); };
+}
+
+}  // namespace shale

@@ -1,0 +1,483 @@
+// shale trade: speed against accuracy, over scenes, models, precisions and scales.
+//
+// A cell is one scene at one scale through one model in one precision. Its quality is measured
+// against the truth and its time on the device; what it would take on a phone comes from the modelled
+// device. Cells lie in the output folder as JSON, so that a run goes on where it was stopped.
+#include <algorithm>
+#include <filesystem>
+#include <set>
+
+#include "ir/base/file.h"
+#include "ir/base/hash.h"
+#include "tools/eval/data_page.h"
+#include "tools/scene/dataset.h"
+#include "tools/scene/scene_source.h"
+#include "tools/shale/cost_page.h"
+#include "tools/shale/evaluate.h"
+#include "tools/shale/report.h"
+#include "tools/shale/source.h"
+
+namespace shale {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Arguments {
+  std::vector<std::string> scenes, models, precisions{"int8"};
+  std::vector<double> scales{2};
+  std::string folder, output = "1920x1080", model_at, device = "mobile";
+  uint32_t frames = 16;
+  double frame_ms = 4, slack_db = 0.25;
+  bool fresh = false, json = false;
+  DeviceArguments tool;
+};
+
+/// Raised when what a cell's figures mean changes, so that older cells are measured again.
+constexpr int kCellVersion = 1;
+constexpr const char* kTradeSchema = "shale-trade/1";
+
+uint64_t hash_text(const std::string& text, uint64_t seed) {
+  return stable_hash({reinterpret_cast<const uint8_t*>(text.data()), text.size()}, seed);
+}
+
+/// Of the files of a folder, their names too; folders in it are left out.
+Result<uint64_t> hash_folder(const fs::path& folder, uint64_t seed) {
+  std::set<fs::path> files;
+  std::error_code error;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder, error))
+    if (entry.is_regular_file()) files.insert(entry.path());
+  if (error) return io_error(folder.string(), "cannot list: {}", error.message());
+  for (const fs::path& file : files) {
+    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(file.string()));
+    seed = stable_hash(bytes, hash_text(file.filename().string(), seed));
+  }
+  return seed;
+}
+
+/// A model in one precision.
+struct Contender {
+  std::string path, precision;  ///< precision is empty without a network
+  ModelFiles files;
+  uint64_t hash = 0;  ///< of the model, its frame.json and its shaders
+
+  bool is_baseline() const { return files.bytes.empty(); }
+  std::string name() const { return is_baseline() ? files.name : files.name + " " + precision; }
+  CompileArguments compile() const {
+    CompileArguments arguments;
+    arguments.precision = precision.empty() ? arguments.precision : precision;
+    return arguments;
+  }
+};
+
+Result<Contender> contender_of(const std::string& path, const std::string& precision) {
+  Contender contender{.path = path, .precision = precision, .files = {}};
+  SHALE_TRY(contender.files, load_model(path, "", precision));
+  if (!contender.files.frame) return bad_input(path, "has no sandwich (frame.json)");
+  if (contender.is_baseline()) contender.precision.clear();
+  contender.hash = stable_hash(contender.files.bytes);
+  SHALE_TRY(contender.hash, hash_folder(fs::path(contender.files.frame_folder), contender.hash));
+  std::set<fs::path> folders;
+  for (const FramePass& pass : contender.files.frame->passes)
+    if (!pass.is_graph)
+      folders.insert((fs::path(contender.files.frame_folder) / pass.shader).parent_path());
+  for (const fs::path& folder : folders) {
+    SHALE_TRY(contender.hash, hash_folder(folder, contender.hash));
+  }
+  return contender;
+}
+
+/// Every model in every precision; a baseline once.
+Result<std::vector<Contender>> contenders_of(const Arguments& arguments) {
+  std::vector<Contender> contenders;
+  for (const std::string& path : arguments.models)
+    for (const std::string& precision : arguments.precisions) {
+      SHALE_TRY(Contender contender, contender_of(path, precision));
+      contenders.push_back(std::move(contender));
+      if (contenders.back().is_baseline()) break;
+    }
+  std::set<std::string> names;
+  for (const Contender& contender : contenders)
+    if (!names.insert(contender.name()).second)
+      return bad_input("--models", "\"{}\" is given twice", contender.name());
+  return contenders;
+}
+
+struct Sizes {
+  double scale = 2;
+  FrameExtent render, output;
+};
+
+Sizes sizes_of(FrameExtent output, double scale) {
+  const auto divided = [&](uint32_t side) {
+    return static_cast<uint32_t>(std::max(1L, std::lround(side / scale)));
+  };
+  return {scale, {divided(output.width), divided(output.height)}, output};
+}
+
+bool offers(const Contender& contender, const Sizes& sizes) {
+  return frame_sizes(*contender.files.frame, {sizes.render, sizes.output}).has_value();
+}
+
+// Frames.
+
+struct SceneFrames {
+  std::string name, path;
+  uint64_t hash = 0;  ///< of the scene
+};
+
+/// The scene's frames at these sizes, rendered into the folder unless they are there.
+Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const ToolDevice& device,
+                                               const SceneFrames& scene, const Sizes& sizes) {
+  SourceArguments source{.frames = arguments.frames};
+  const fs::path folder =
+      fs::path(arguments.folder) / "frames" /
+      fmt::format("{}-{}x{}-{}x{}-{}-{:016x}", scene.name, sizes.render.width, sizes.render.height,
+                  sizes.output.width, sizes.output.height, arguments.frames, scene.hash);
+  std::error_code ignored;
+  if (fs::exists(folder / "0000.json", ignored)) return open_dataset(folder.string(), source);
+  const Extent render{sizes.render.width, sizes.render.height},
+      output{sizes.output.width, sizes.output.height};
+  SHALE_TRY(const std::unique_ptr<FrameSource> rendered,
+            open_scene(scene.path, source, device, render, output));
+  SHALE_TRY(
+      DatasetWriter writer,
+      DatasetWriter::create(folder.string(), {.number = 0,
+                                              .render = render,
+                                              .output = output,
+                                              .jitter_phases = jitter_phases(render, output)}));
+  Progress progress("rendering " + scene.name);
+  for (uint32_t i = 0; i < rendered->frame_count(); ++i) {
+    if (!progress.step(i, rendered->frame_count()))
+      return bad_input(scene.path, "interrupted after {} frames", i);
+    SHALE_TRY(const SourceFrame frame, rendered->frame(i, true));
+    SHALE_TRY_VOID(writer.add(frame));
+  }
+  SHALE_TRY_VOID(writer.finish());
+  return open_dataset(folder.string(), source);
+}
+
+// Cells.
+
+/// What the method would take on the modelled device, for results of `at` at the same scale.
+Result<Json> modelled(const Contender& contender, const Sizes& at, const ModelledDevice& device) {
+  SHALE_TRY(CompileOptions options, contender.compile().options(contender.files));
+  options.sizes = {at.render, at.output};
+  std::optional<Graph> graph;
+  Json json{{"gop", 0.0}, {"network_ms", 0.0}, {"energy_mj", 0.0}};
+  if (!contender.is_baseline()) {
+    SHALE_TRY(graph, shaped_graph(contender.files.bytes, options));
+    SHALE_TRY(const Graph fused, fused_graph(*graph, options));
+    const ModelledNetwork network = model_network(fused, device);
+    json = {{"gop", 2e-9 * static_cast<double>(network.macs)},
+            {"network_ms", 1e-3 * network.time_us},
+            {"energy_mj", 1e-3 * network.energy_uj}};
+  }
+  // The passes move much and compute little: their time is their memory's.
+  const double bytes =
+      pass_bytes(*contender.files.frame, at.render, at.output, graph ? &*graph : nullptr);
+  const size_t passes = contender.files.frame->passes.size() - !contender.is_baseline();
+  json["passes_ms"] = 1e-6 * bytes / device.memory_gbps.value +
+                      1e-3 * device.dispatch_us.value * static_cast<double>(passes);
+  json["total_ms"] = json["passes_ms"].get<double>() + json["network_ms"].get<double>();
+  return json;
+}
+
+double median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return values[values.size() / 2];
+}
+
+Result<Json> measure(FrameSource& source, std::vector<PlayedMethod>& method) {
+  SHALE_TRY(const EvalScene scene, evaluate_scene(source, method, {}));
+  const SequenceMetrics& means = scene.methods[0].means;
+  Json json{{"frames", scene.frames}};
+  const auto put = [&](const char* key, const std::optional<double>& value) {
+    json[key] = value ? finite_json(*value) : Json(nullptr);
+  };
+  put("psnr_db", means.psnr_db);
+  put("ssim", means.ssim);
+  put("flip", means.flip);
+  put("if_ssim", means.if_ssim ? std::optional(means.if_ssim->at_t.value) : std::nullopt);
+  std::vector<double> times;
+  for (const FrameResult& frame : scene.methods[0].frames)
+    if (frame.time_ms) times.push_back(*frame.time_ms);
+  put("measured_ms", times.empty() ? std::nullopt : std::optional(median(times)));
+  return json;
+}
+
+// The trade.
+
+/// Marks which rows no other one beats in both: less in `cost`, more of `quality` (or less of it, if
+/// `less` is better).
+void mark_front(Json& rows, const char* quality, bool less, const Json::json_pointer& cost,
+                const char* mark) {
+  const auto figure = [&](const Json& row) {
+    return std::pair{row.at(cost).get<double>(), (less ? -1 : 1) * row[quality].get<double>()};
+  };
+  for (Json& row : rows) {
+    if (!row[quality].is_number()) continue;
+    const auto [own_cost, own_quality] = figure(row);
+    const bool beaten = std::any_of(rows.begin(), rows.end(), [&](const Json& other) {
+      if (!other[quality].is_number()) return false;
+      const auto [other_cost, other_quality] = figure(other);
+      return other_cost <= own_cost && other_quality >= own_quality &&
+             (other_cost < own_cost || other_quality > own_quality);
+    });
+    if (!beaten) row["fronts"].push_back(mark);
+  }
+}
+
+/// The best method under the budget, and the cheapest that is nearly as good.
+Json choose(const Json& rows, const Arguments& arguments) {
+  const Json *best = nullptr, *enough = nullptr, *baseline = nullptr;
+  const auto psnr = [](const Json& row) { return row["psnr_db"].get<double>(); };
+  const auto time = [](const Json& row) { return row["modelled"]["total_ms"].get<double>(); };
+  const auto fits = [&](const Json& row) {
+    return row["psnr_db"].is_number() && time(row) <= arguments.frame_ms;
+  };
+  for (const Json& row : rows) {
+    if (!fits(row)) continue;
+    if (!best || psnr(row) > psnr(*best)) best = &row;
+    if (row["baseline"].get<bool>() && (!baseline || psnr(row) > psnr(*baseline))) baseline = &row;
+  }
+  if (!best) return nullptr;
+  for (const Json& row : rows)
+    if (fits(row) && psnr(row) >= psnr(*best) - arguments.slack_db &&
+        (!enough || time(row) < time(*enough)))
+      enough = &row;
+  Json json{{"best", (*best)["name"]},
+            {"best_scale", (*best)["scale"]},
+            {"best_psnr_db", psnr(*best)},
+            {"best_ms", time(*best)},
+            {"enough", (*enough)["name"]},
+            {"enough_scale", (*enough)["scale"]},
+            {"enough_psnr_db", psnr(*enough)},
+            {"enough_ms", time(*enough)},
+            {"baseline_is_enough", (*enough)["baseline"]}};
+  if (baseline) {
+    json["best_baseline"] = (*baseline)["name"];
+    json["best_baseline_psnr_db"] = psnr(*baseline);
+    json["gain_db"] = psnr(*best) - psnr(*baseline);
+  }
+  return json;
+}
+
+/// Means over the scenes that every contender of a scale has.
+Json overall(const Json& scenes) {
+  Json rows = scenes[0]["methods"];
+  for (Json& row : rows) {
+    for (const char* key : {"psnr_db", "ssim", "flip", "if_ssim", "measured_ms"}) {
+      double sum = 0;
+      size_t count = 0;
+      for (const Json& scene : scenes)
+        for (const Json& other : scene["methods"])
+          if (other["name"] == row["name"] && other["scale"] == row["scale"] &&
+              other[key].is_number())
+            sum += other[key].get<double>(), ++count;
+      row[key] = count == scenes.size() ? Json(sum / static_cast<double>(count)) : Json(nullptr);
+    }
+    row.erase("fronts");
+  }
+  return rows;
+}
+
+void finish(Json& scene, const Arguments& arguments) {
+  Json& rows = scene["methods"];
+  for (Json& row : rows) row["fronts"] = Json::array();
+  const Json::json_pointer time("/modelled/total_ms"), gop("/modelled/gop");
+  mark_front(rows, "psnr_db", false, time, "psnr_db over ms");
+  mark_front(rows, "flip", true, time, "flip over ms");
+  mark_front(rows, "if_ssim", false, time, "if_ssim over ms");
+  mark_front(rows, "psnr_db", false, gop, "psnr_db over GOP");
+  scene["choice"] = choose(rows, arguments);
+}
+
+void print_scene(const Json& scene) {
+  size_t wide = 6;
+  for (const Json& row : scene["methods"])
+    wide = std::max(wide, row["name"].get<std::string>().size());
+  const auto cell = [](const Json& value, int digits) {
+    return value.is_number() ? fmt::format("{:.{}f}", value.get<double>(), digits)
+                             : std::string("-");
+  };
+  fmt::print("{}\n  {:<{}} {:>5} {:>8} {:>7} {:>7} {:>8} {:>9} {:>8} {:>9}  front\n",
+             scene["name"].get<std::string>(), "", wide, "scale", "PSNR dB", "SSIM", "FLIP",
+             "IF-SSIM", "modelled", "GOP", "measured");
+  for (const Json& row : scene["methods"])
+    fmt::print("  {:<{}} {:>5} {:>8} {:>7} {:>7} {:>8} {:>6} ms {:>8} {:>6} ms  {}\n",
+               row["name"].get<std::string>(), wide, cell(row["scale"], 2), cell(row["psnr_db"], 2),
+               cell(row["ssim"], 4), cell(row["flip"], 4), cell(row["if_ssim"], 4),
+               cell(row["modelled"]["total_ms"], 2), cell(row["modelled"]["gop"], 2),
+               cell(row["measured_ms"], 1), row["fronts"].empty() ? "" : "*");
+  const Json& choice = scene["choice"];
+  if (choice.is_null()) {
+    fmt::print("  nothing fits the budget\n");
+    return;
+  }
+  const auto text = [&](const char* key) { return choice[key].get<std::string>(); };
+  fmt::print("  best under the budget: {} at x{}, {} dB, {} ms", text("best"),
+             cell(choice["best_scale"], 2), cell(choice["best_psnr_db"], 2),
+             cell(choice["best_ms"], 2));
+  if (choice.contains("gain_db"))
+    fmt::print("; {} dB above {}", cell(choice["gain_db"], 2), text("best_baseline"));
+  fmt::print("\n  enough: {} at x{}, {} dB, {} ms{}\n", text("enough"),
+             cell(choice["enough_scale"], 2), cell(choice["enough_psnr_db"], 2),
+             cell(choice["enough_ms"], 2),
+             choice["baseline_is_enough"].get<bool>() ? ": no network is needed" : "");
+}
+
+Result<int> trade(const Arguments& arguments) {
+  SHALE_TRY(const FrameExtent output, parse_extent("--output-size", arguments.output));
+  FrameExtent model_at = output;
+  if (!arguments.model_at.empty()) {
+    SHALE_TRY(model_at, parse_extent("--model-at", arguments.model_at));
+  }
+  const ModelledDevice* device = find_modelled_device(arguments.device);
+  if (!device) return bad_input("--model-device", "\"{}\" is unknown", arguments.device);
+  SHALE_TRY(const std::vector<Contender> contenders, contenders_of(arguments));
+  std::vector<SceneFrames> scenes;
+  for (const std::string& path : arguments.scenes) {
+    SHALE_TRY(const Scene scene, load_scene(path));
+    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+    scenes.push_back({scene.name, path, stable_hash(bytes)});
+  }
+  const fs::path cells = fs::path(arguments.folder) / "cells";
+  std::error_code error;
+  fs::create_directories(cells, error);
+  if (error) return io_error(cells.string(), "cannot create: {}", error.message());
+
+  SHALE_TRY(ToolDevice tool, ToolDevice::open(arguments.tool));
+  Json json{{"schema", kTradeSchema},
+            {"device", tool.context().caps.name},
+            {"modelled_device", device->name},
+            {"modelled_output", {model_at.width, model_at.height}},
+            {"output", {output.width, output.height}},
+            {"frame_ms", arguments.frame_ms},
+            {"slack_db", arguments.slack_db},
+            {"scenes", Json::array()}};
+  for (const SceneFrames& scene : scenes)
+    json["scenes"].push_back({{"name", scene.name}, {"methods", Json::array()}});
+  size_t done = 0, all = 0;
+  for (const double scale : arguments.scales)
+    for (const Contender& contender : contenders)
+      all += offers(contender, sizes_of(output, scale)) ? scenes.size() : 0;
+  if (all == 0)
+    return bad_input("--scales", "no model offers any of these scales at {}", arguments.output);
+  Progress progress("cells");
+  {
+    for (const double scale : arguments.scales) {
+      const Sizes sizes = sizes_of(output, scale);
+      for (const Contender& contender : contenders) {
+        if (!offers(contender, sizes)) continue;
+        Result<Json> model = modelled(contender, sizes_of(model_at, scale), *device);
+        if (!model) return in_file(contender.files.path, model.error());
+        std::vector<PlayedMethod> method;  // made for the first scene that is not there yet
+        for (size_t s = 0; s < scenes.size(); ++s) {
+          if (!progress.step(done++, all)) return bad_input("", "interrupted; run again to go on");
+          const Json key{{"version", kCellVersion},
+                         {"program", kVersionText},
+                         {"scene", scenes[s].hash},
+                         {"model", contender.hash},
+                         {"render", {sizes.render.width, sizes.render.height}},
+                         {"output", {output.width, output.height}},
+                         {"frames", arguments.frames},
+                         {"device", tool.context().caps.name}};
+          const std::string file =
+              (cells / fmt::format("{:016x}.json", hash_text(key.dump(), kHashSeed))).string();
+          Json cell;
+          std::error_code ignored;
+          if (!arguments.fresh && fs::exists(file, ignored)) {
+            SHALE_TRY(const std::string text, read_text(file));
+            const Json kept = Json::parse(text, nullptr, false);
+            if (kept.is_object() && kept.value("key", Json()) == key) cell = kept["result"];
+          }
+          if (cell.is_null()) {
+            SHALE_TRY(const std::unique_ptr<FrameSource> source,
+                      frames_of(arguments, tool, scenes[s], sizes));
+            if (method.empty()) {
+              SHALE_TRY(const Sandwich sandwich,
+                        load_sandwich(contender.path, contender.compile(),
+                                      Extent{sizes.render.width, sizes.render.height},
+                                      Extent{output.width, output.height}));
+              method.push_back({contender.name(), nullptr});
+              SHALE_TRY(method[0].player, Player::create(tool, sandwich.package));
+            }
+            SHALE_TRY(cell, measure(*source, method));
+            SHALE_TRY_VOID(write_text(file, json_text({{"key", key}, {"result", cell}})));
+          }
+          Json row{{"name", contender.name()},
+                   {"model", contender.files.name},
+                   {"precision", contender.precision},
+                   {"baseline", contender.is_baseline()},
+                   {"scale", scale}};
+          row.update(cell);
+          row["modelled"] = *model;
+          json["scenes"][s]["methods"].push_back(std::move(row));
+        }
+      }
+    }
+  }
+  SHALE_TRY_VOID(tool.close());
+  json["overall"] = {{"name", fmt::format("mean of {} scenes", scenes.size())},
+                     {"methods", overall(json["scenes"])}};
+  for (Json& scene : json["scenes"]) finish(scene, arguments);
+  finish(json["overall"], arguments);
+  const fs::path folder(arguments.folder);
+  SHALE_TRY_VOID(write_text((folder / "trade.json").string(), json_text(json)));
+  SHALE_TRY_VOID(
+      write_text((folder / "trade.html").string(),
+                 data_page("Speed against accuracy", json, cost_page::kEmbeddedFiles[1].text)));
+  if (arguments.json) {
+    print_json(json);
+    return kDone;
+  }
+  for (const Json& scene : json["scenes"]) {
+    print_scene(scene);
+    fmt::print("\n");
+  }
+  print_scene(json["overall"]);
+  fmt::print("\n{}\n", (folder / "trade.html").string());
+  return kDone;
+}
+
+}  // namespace
+
+Action add_trade(CLI::App& app) {
+  auto arguments = std::make_shared<Arguments>();
+  app.add_option("scenes", arguments->scenes, "scene files (.json)")->required();
+  app.add_option("-o,--output", arguments->folder,
+                 "folder for trade.html, trade.json, and what a later run need not do again")
+      ->required();
+  app.add_option("-m,--models", arguments->models,
+                 "model folders; those without a network are baselines")
+      ->required()
+      ->delimiter(',');
+  app.add_option("--precisions", arguments->precisions, "of the networks: int8, int16, fp16, fp32")
+      ->delimiter(',')
+      ->check(CLI::IsMember({"int8", "int16", "fp16", "fp32"}));
+  app.add_option("--scales", arguments->scales,
+                 "ratios of the result's to the rendered frame's sides")
+      ->delimiter(',')
+      ->check(CLI::Range(1.0, 16.0));
+  app.add_option("--output-size", arguments->output, "size of the results that are judged");
+  app.add_option("--model-at", arguments->model_at,
+                 "size of the results that times are modelled for (default: --output-size)");
+  app.add_option("--model-device", arguments->device, "modelled device");
+  app.add_option("--frames", arguments->frames, "frames of each scene")
+      ->check(CLI::Range(2, 10000));
+  app.add_option("--frame-ms", arguments->frame_ms, "budget of passes and network together")
+      ->check(CLI::Range(0.0, 1e6));
+  app.add_option("--slack-db", arguments->slack_db,
+                 "the cheapest method so close to the best one's PSNR is enough")
+      ->check(CLI::Range(0.0, 100.0));
+  app.add_flag("--fresh", arguments->fresh, "measure again what the folder holds already");
+  add_device_options(app, arguments->tool);
+  app.add_flag("--json", arguments->json, "print the result as JSON");
+  app.footer(
+      "Example: shale trade models/scenes/test/*.json -o out/trade -m "
+      "models/nss_v1_low,models/srpo_x2,models/baselines/bilinear --precisions int8,fp16 "
+      "--output-size 960x540 --model-at 1920x1080");
+  return [arguments] { return trade(*arguments); };
+}
+
+}  // namespace shale
