@@ -349,6 +349,37 @@ TEST_F(Cli, DumpOfASpirvModuleListsItsEntryPoints) {
   EXPECT_EQ(json["inputs"][0], "x");
 }
 
+TEST_F(Cli, ConstantsOfABareModuleComeFromFiles) {
+  ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file("s.vgf")).exit, 0);
+  const std::string container = read(file("s.vgf"));
+  const nlohmann::json json =
+      nlohmann::json::parse(shale("dump " + file("s.vgf") + " --json").text);
+  const size_t words = json["modules"][0]["words"];
+  write(file("s.spv"), container.substr(container.find("\x03\x02\x23\x07"), 4 * words));
+  const size_t section = json["sections"]["constants"]["offset"];
+  const size_t payload = section + 16 + 24 * json["constants"].size();
+  std::string options;
+  for (size_t i = 0; i < json["constants"].size(); ++i) {
+    const nlohmann::json& constant = json["constants"][i];
+    const std::string name = file("constant" + std::to_string(i));
+    write(name, container.substr(payload + constant["payload_offset"].get<size_t>(),
+                                 constant["size"].get<size_t>()));
+    options += " --constant " + std::to_string(i) + "=" + name;
+  }
+  ASSERT_NE(options, "");
+  EXPECT_EQ(shale("dump --what graph " + file("s.spv") + options).text,
+            shale("dump --what graph " + file("s.vgf")).text);
+  EXPECT_EQ(shale("run " + file("s.spv") + options + " --random 3 --check").exit, 0);
+  EXPECT_EQ(shale("verify " + file("s.spv")).exit, 1) << "the constants are missing";
+  const Outcome listed = shale("dump " + file("s.spv"));
+  EXPECT_EQ(listed.exit, 0);
+  EXPECT_NE(listed.text.find("#   constants: 0 i8[1,3,3,1]"), std::string::npos) << listed.text;
+  const Outcome twice = shale("verify " + file("s.spv") + options + options);
+  EXPECT_EQ(twice.exit, 1);
+  EXPECT_NE(twice.text.find("--constant: constant 0 has two files"), std::string::npos)
+      << twice.text;
+}
+
 TEST_F(Cli, ReportCountsTheSrpoParameters) {
   const Outcome outcome = shale("report " + kModels + "/srpo_x2");
   EXPECT_EQ(outcome.exit, 0);
