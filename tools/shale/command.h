@@ -62,18 +62,26 @@ struct ModelFiles {
   std::string frame_folder;  ///< shader paths are relative to it
 };
 
-/// `path` is a model file, or a folder with model.tosa and (optionally) frame.json; a sandwich
-/// without a network has no model.tosa. `frame_path` names a frame.json for a model file; empty is
+/// --precision: which of a model folder's networks is meant, int8 by default.
+void add_precision_option(CLI::App& app, std::string& precision);
+
+/// The file that a path means: itself, or of a folder model.tosa (int8) or model.PRECISION.tosa.
+/// Errors: kBadInput if the folder has not got the precision, or a file is given with one.
+Result<std::string> model_file(const std::string& path, const std::string& precision);
+
+/// `path` is a model file, or a folder with networks (see model_file) and (optionally) frame.json; a
+/// sandwich without a network has none. `frame_path` names a frame.json for a model file; empty is
 /// none.
 /// Errors: kIo, kBadInput; the file is named.
-Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path);
+Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
+                              const std::string& precision);
 
 /// Options that everything which compiles shares.
 struct CompileArguments {
   std::vector<std::string> input_shapes;
   std::vector<std::string> targets{"lavapipe"};
   std::vector<std::string> kernels;
-  std::string frame, render, output, choices;
+  std::string frame, render, output, choices, precision = "int8";
   double ratio = 0;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;

@@ -12,7 +12,8 @@ struct Arguments {
 };
 
 Result<int> compile_to_file(const Arguments& arguments) {
-  SHALE_TRY(const ModelFiles model, load_model(arguments.model, arguments.compile.frame));
+  SHALE_TRY(const ModelFiles model,
+            load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   SHALE_TRY(const Compiled compiled, compile_model(model, options));
   for (const std::string& warning : compiled.warnings)

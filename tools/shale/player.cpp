@@ -138,7 +138,7 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
       return sandwich;
     }
   }
-  SHALE_TRY(const ModelFiles model, load_model(path, arguments.frame));
+  SHALE_TRY(const ModelFiles model, load_model(path, arguments.frame, arguments.precision));
   if (!model.frame)
     return bad_input(model.path, "has no sandwich; name its frame.json with --frame");
   SHALE_TRY(CompileOptions options, arguments.options(model));

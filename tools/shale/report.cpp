@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 
 struct Arguments {
   std::vector<std::string> files, input_shapes;
-  std::string cost_table, row, measured, convention = "mac";
+  std::string cost_table, row, measured, convention = "mac", precision = "int8";
   uint32_t variant = 0;
   Budget budget;
   bool json = false;
@@ -356,9 +356,7 @@ Result<int> report_files(const Arguments& arguments) {
   for (size_t i = 0; i < arguments.files.size(); ++i) {
     const std::string& path = arguments.files[i];
     if (i > 0 && !arguments.json) fmt::print("\n");
-    std::error_code ignored;
-    const std::string file =
-        fs::is_directory(path, ignored) ? (fs::path(path) / "model.tosa").string() : path;
+    SHALE_TRY(const std::string file, model_file(path, arguments.precision));
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(file));
     const bool packaged = is_package(bytes);
     if (!packaged && !arguments.measured.empty())
@@ -526,6 +524,7 @@ Action add_report(CLI::App& app) {
   app.add_option("--input-shape", arguments->input_shapes,
                  "shape of a model's input, NAME=N,H,W,C (again for each input)")
       ->allow_extra_args(false);  // what follows is a file
+  add_precision_option(app, arguments->precision);
   app.add_option("--variant", arguments->variant, "variant of the package");
   app.add_option("--measured", arguments->measured,
                  "times from shale run --profile-to, to set beside the predicted ones");

@@ -50,7 +50,8 @@ Result<Layers> measure(const Arguments& arguments, const ToolDevice& device,
 }
 
 Result<int> run(const Arguments& arguments) {
-  SHALE_TRY(ModelFiles model, load_model(arguments.model, arguments.compile.frame));
+  SHALE_TRY(ModelFiles model,
+            load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   if (options.targets.size() != 1)
     return bad_input("--target", "{} targets are given, expected one", options.targets.size());
