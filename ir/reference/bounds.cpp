@@ -564,6 +564,14 @@ bool has_reals(const Graph& graph) {
                              [](const Value& value) { return is_float(value.type.dtype); });
 }
 
+double widest(const Bounds& bounds) {
+  double width = 0;
+  for (const Bound& bound : bounds)
+    width = bound.is_anything() ? kInfinity
+                                : std::max(width, bound.is_point() ? 0 : bound.high - bound.low);
+  return width;
+}
+
 std::optional<std::string> first_outside(const Tensor& found, const Bounds& bounds) {
   const Bounds values = points(found);
   if (values.size() != bounds.size())

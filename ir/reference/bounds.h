@@ -46,6 +46,9 @@ Result<std::vector<Bounds>> interpret_bounds(const Graph& graph, std::span<const
 /// True if a tensor of the graph is FP32 or FP16, so that its results are bounded and not exact.
 bool has_reals(const Graph& graph);
 
+/// The widest of the intervals, in the tensor's values; infinite where one bounds nothing.
+double widest(const Bounds& bounds);
+
 /// "element 17 at [0,1,1,1]: found 4, expected 4.5 to 4.6", or nothing if all elements are in bounds.
 std::optional<std::string> first_outside(const Tensor& found, const Bounds& bounds);
 

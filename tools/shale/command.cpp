@@ -66,13 +66,31 @@ std::string json_text(const Json& json) {
 
 void print_json(const Json& json) { fmt::print("{}", json_text(json)); }
 
+void add_precision_option(CLI::App& app, std::string& precision) {
+  app.add_option("--precision", precision, "which network of a model folder")
+      ->check(CLI::IsMember({"int8", "int16", "fp16", "fp32"}))
+      ->capture_default_str();
+}
+
+Result<std::string> model_file(const std::string& path, const std::string& precision) {
+  std::error_code ignored;
+  if (!fs::is_directory(path, ignored)) {
+    if (precision == "int8") return path;
+    return bad_input("--precision", "chooses a network of a model folder, and {} is a file", path);
+  }
+  const fs::path file =
+      fs::path(path) /
+      (precision == "int8" ? "model.tosa" : fmt::format("model.{}.tosa", precision));
+  if (precision != "int8" && !fs::exists(file, ignored))
+    return bad_input("--precision", "{} has no {}", path, file.filename().string());
+  return file.string();
+}
+
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
                               const std::string& precision) {
   ModelFiles model;
   std::error_code ignored;
   const bool is_folder = fs::is_directory(path, ignored);
-  const std::string file = precision == "int8" ? "model.tosa" : "model." + precision + ".tosa";
-  model.path = is_folder ? (fs::path(path) / file).string() : path;
   const std::string stem =
       is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
                 : fs::path(path).stem().string();
@@ -93,8 +111,7 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
     model.path = frame;
     return model;
   }
-  if (is_folder && precision != "int8" && !fs::exists(model.path, ignored))
-    return bad_input(path, "has no {}: the model is not there in {}", file, precision);
+  SHALE_TRY(model.path, model_file(path, precision));
   SHALE_TRY(model.bytes, read_file(model.path));
   return model;
 }
@@ -235,10 +252,8 @@ void CompileArguments::add_to(CLI::App& app) {
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
-  app.add_option("--precision", precision, "of a model folder: int8, int16, fp16 or fp32")
-      ->check(
-          CLI::IsMember(std::vector<std::string>(std::begin(kPrecisions), std::end(kPrecisions))));
   app.add_option("--frame", frame, "frame.json of the sandwich, for a model given as a file");
+  add_precision_option(app, precision);
   app.add_option("--render", render, "size of the rendered frames of a sandwich, WIDTHxHEIGHT");
   auto* size = app.add_option("--output-size", output, "size of its results, WIDTHxHEIGHT");
   app.add_option("--ratio", ratio, "ratio of the results' sides to the rendered frames'")

@@ -62,16 +62,19 @@ struct ModelFiles {
   std::string frame_folder;  ///< shader paths are relative to it
 };
 
-/// The precisions that a model folder may hold: model.tosa is INT8, the others are model.fp32.tosa
-/// and so on.
-inline constexpr const char* kPrecisions[] = {"int8", "int16", "fp16", "fp32"};
+/// --precision: which of a model folder's networks is meant, int8 by default.
+void add_precision_option(CLI::App& app, std::string& precision);
 
-/// `path` is a model file, or a folder with model.tosa and (optionally) frame.json; a sandwich
-/// without a network has no model.tosa. `frame_path` names a frame.json for a model file; empty is
-/// none. `precision` (of kPrecisions) chooses the file of a folder.
+/// The file that a path means: itself, or of a folder model.tosa (int8) or model.PRECISION.tosa.
+/// Errors: kBadInput if the folder has not got the precision, or a file is given with one.
+Result<std::string> model_file(const std::string& path, const std::string& precision);
+
+/// `path` is a model file, or a folder with networks (see model_file) and (optionally) frame.json; a
+/// sandwich without a network has none. `frame_path` names a frame.json for a model file; empty is
+/// none.
 /// Errors: kIo, kBadInput; the file is named.
 Result<ModelFiles> load_model(const std::string& path, const std::string& frame_path,
-                              const std::string& precision = "int8");
+                              const std::string& precision);
 
 /// The kinds of model files, for help texts.
 inline constexpr const char* kModelKinds = ".tosa, .tir, .vgf, .spv";

@@ -198,4 +198,27 @@ std::optional<std::string> first_difference(const Tensor& found, const Tensor& e
   return std::nullopt;
 }
 
+std::string OutputCheck::text() const {
+  if (difference) return fmt::format("differs from ({}) the interpreter", *difference);
+  if (!widest) return "equal to the interpreter";
+  return fmt::format("within the rounding bounds of the interpreter, at most {:.3g} wide", *widest);
+}
+
+Result<std::vector<OutputCheck>> check_outputs(const Graph& graph,
+                                               const std::vector<Tensor>& inputs,
+                                               const std::vector<Tensor>& outputs,
+                                               const InterpreterProgress& progress) {
+  std::vector<OutputCheck> checks;
+  if (has_reals(graph)) {
+    SHALE_TRY(const std::vector<Bounds> bounds, interpret_bounds(graph, inputs, progress));
+    for (size_t i = 0; i < outputs.size(); ++i)
+      checks.push_back({first_outside(outputs[i], bounds[i]), widest(bounds[i])});
+  } else {
+    SHALE_TRY(const std::vector<Tensor> expected, interpret(graph, inputs, progress));
+    for (size_t i = 0; i < outputs.size(); ++i)
+      checks.push_back({first_difference(outputs[i], expected[i]), std::nullopt});
+  }
+  return checks;
+}
+
 }  // namespace shale

@@ -10,6 +10,7 @@
 #include "ir/graph/graph.h"
 #include "ir/graph/tensor.h"
 #include "ir/package/package.h"
+#include "ir/reference/bounds.h"
 #include "runtime/profile/profile.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/instance.h"
@@ -96,5 +97,21 @@ Result<void> match_shapes(Graph& graph, const Variant& variant);
 
 /// "element 17 at [0,1,1,1]: found 4, expected 5", or nothing if the tensors are equal.
 std::optional<std::string> first_difference(const Tensor& found, const Tensor& expected);
+
+/// What an output of a graph on a device has against the interpreter.
+struct OutputCheck {
+  /// The first difference; of a graph with floats the first element outside its rounding bounds.
+  std::optional<std::string> difference;
+  std::optional<double> widest;  ///< of those bounds, in the output's values
+
+  /// "equal to the interpreter", or what else holds.
+  std::string text() const;
+};
+
+/// Errors: as interpret.
+Result<std::vector<OutputCheck>> check_outputs(const Graph& graph,
+                                               const std::vector<Tensor>& inputs,
+                                               const std::vector<Tensor>& outputs,
+                                               const InterpreterProgress& progress);
 
 }  // namespace shale

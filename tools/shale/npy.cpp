@@ -48,10 +48,14 @@ Result<Shape> parse_shape(const std::string& path, std::string_view text) {
   }
 }
 
-}  // namespace
+struct Header {
+  std::string_view text;
+  Shape shape;
+  size_t data_at;
+};
 
-Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
-  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+/// Of the file at `path`, whose bytes these are; borrows them.
+Result<Header> parse_header(const std::string& path, const std::vector<uint8_t>& bytes) {
   if (bytes.size() < 12 ||
       !std::equal(kMagic.begin(), kMagic.end(), bytes.begin(),
                   [](char a, uint8_t b) { return static_cast<uint8_t>(a) == b; }))
@@ -65,6 +69,22 @@ Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
     return bad_input(path, "the npy header of {} bytes is cut off", header_size);
   const std::string_view header(reinterpret_cast<const char*>(bytes.data()) + header_at,
                                 header_size);
+  SHALE_TRY(Shape shape, parse_shape(path, field(header, "shape")));
+  return Header{header, std::move(shape), header_at + header_size};
+}
+
+}  // namespace
+
+Result<Shape> npy_shape(const std::string& path) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  SHALE_TRY(Header header, parse_header(path, bytes));
+  return std::move(header.shape);
+}
+
+Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  SHALE_TRY(const Header parsed, parse_header(path, bytes));
+  const auto& [header, shape, data_at] = parsed;
   const std::string_view descr = field(header, "descr");
   const std::string wanted = fmt::format("'{}'", descr_of(type.dtype));
   if (!descr.starts_with(wanted))
@@ -72,7 +92,6 @@ Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
                      descr.substr(0, descr.find(',')), wanted, dtype_info(type.dtype).wire);
   if (!field(header, "fortran_order").starts_with("False"))
     return bad_input(path, "is in Fortran order, expected C order");
-  SHALE_TRY(const Shape shape, parse_shape(path, field(header, "shape")));
   if (shape != type.shape)
     return bad_input(path, "found shape {}, expected {}", shape_text(shape),
                      shape_text(type.shape));
@@ -80,10 +99,9 @@ Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
   if (!count) return bad_input(path, "shape {} is not supported", shape_text(shape));
   Tensor tensor{type, {}};
   const size_t size = static_cast<size_t>(*count * tensor.host_bytes());
-  if (bytes.size() - header_at - header_size < size)
-    return bad_input(path, "found {} bytes of data, expected {}",
-                     bytes.size() - header_at - header_size, size);
-  const auto data = bytes.begin() + static_cast<std::ptrdiff_t>(header_at + header_size);
+  if (bytes.size() - data_at < size)
+    return bad_input(path, "found {} bytes of data, expected {}", bytes.size() - data_at, size);
+  const auto data = bytes.begin() + static_cast<std::ptrdiff_t>(data_at);
   tensor.bytes.assign(data, data + static_cast<std::ptrdiff_t>(size));
   return tensor;
 }

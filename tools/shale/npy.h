@@ -14,6 +14,10 @@ namespace shale {
 /// Errors: kIo, kBadInput; both name the file.
 Result<Tensor> read_npy(const std::string& path, const TensorType& type);
 
+/// The shape of the array in a file.
+/// Errors: as read_npy.
+Result<Shape> npy_shape(const std::string& path);
+
 /// Errors: kIo.
 Result<void> write_npy(const std::string& path, const Tensor& tensor);
 

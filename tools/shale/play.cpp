@@ -131,14 +131,18 @@ Result<std::optional<std::string>> check(const Player& player, const Graph& grap
     SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));
     inputs.push_back(std::move(tensor));
   }
-  SHALE_TRY(const std::vector<Tensor> expected,
-            interpret(graph, inputs, [](uint32_t, uint32_t) { return !interrupted(); }));
-  const std::vector<const Resource*> outputs = tensors_of(player.variant(), Category::kOutput);
-  for (size_t i = 0; i < outputs.size(); ++i) {
-    SHALE_TRY(const Tensor found, player.read_tensor(outputs[i]->name));
-    if (const auto difference = first_difference(found, expected[i]))
-      return std::optional("output \"" + outputs[i]->name + "\": " + *difference);
+  const std::vector<const Resource*> names = tensors_of(player.variant(), Category::kOutput);
+  std::vector<Tensor> outputs;
+  for (const Resource* name : names) {
+    SHALE_TRY(Tensor found, player.read_tensor(name->name));
+    outputs.push_back(std::move(found));
   }
+  SHALE_TRY(
+      const std::vector<OutputCheck> checks,
+      check_outputs(graph, inputs, outputs, [](uint32_t, uint32_t) { return !interrupted(); }));
+  for (size_t i = 0; i < outputs.size(); ++i)
+    if (checks[i].difference)
+      return std::optional("output \"" + names[i]->name + "\": " + *checks[i].difference);
   return std::optional<std::string>();
 }
 

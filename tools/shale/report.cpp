@@ -169,9 +169,7 @@ Action add_report(CLI::App& app) {
   app.add_option("--row", arguments->row, "only this row of the table, with its graph")
       ->needs(table);
   compile.import.add_to(app);
-  app.add_option("--precision", compile.precision, "of a model folder: int8, int16, fp16 or fp32")
-      ->check(
-          CLI::IsMember(std::vector<std::string>(std::begin(kPrecisions), std::end(kPrecisions))));
+  add_precision_option(app, compile.precision);
   app.add_option("--frame", compile.frame,
                  "frame.json of the sandwich, for a model given as a file");
   app.add_option("--render", compile.render, "size of the rendered frames, WIDTHxHEIGHT");

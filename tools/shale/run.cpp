@@ -1,12 +1,12 @@
 // shale run: a network alone, arrays in, arrays out.
+#include <cmath>
 #include <filesystem>
 #include <random>
 
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
-#include "ir/reference/bounds.h"
 #include "tools/shale/command.h"
-#include "tools/shale/device_run.h"
+#include "tools/shale/layer_check.h"
 #include "tools/shale/npy.h"
 
 namespace shale {
@@ -65,7 +65,10 @@ Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Varian
   return tensors;
 }
 
-Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& graph) {
+/// `graph` is the package's, or the model's that --model names; `options` are set where it was compiled
+/// here.
+Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& graph,
+                             std::optional<CompileOptions>& options) {
   std::error_code ignored;
   if (!fs::is_directory(arguments.file, ignored)) {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(arguments.file));
@@ -73,7 +76,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
       if (arguments.check && arguments.check_model.empty())
         return bad_input("--check", "a package holds no graph; name its model with --model");
       if (!arguments.check_model.empty()) {
-        SHALE_TRY(const ModelFiles model, load_model(arguments.check_model, ""));
+        SHALE_TRY(const ModelFiles model,
+                  load_model(arguments.check_model, "", arguments.compile.precision));
         SHALE_TRY(const ImportOptions import, arguments.compile.import.options());
         SHALE_TRY(graph, import_model(model.bytes, import));
       }
@@ -85,8 +89,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
   SHALE_TRY(ModelFiles model,
             load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
   model.frame.reset();  // the network alone
-  SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
-  SHALE_TRY(Compiled compiled, compile_model(model, options));
+  SHALE_TRY(options, arguments.compile.options(model));
+  SHALE_TRY(Compiled compiled, compile_model(model, *options));
   for (const std::string& warning : compiled.warnings)
     fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
   graph = std::move(compiled.graph);
@@ -95,7 +99,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
 
 Result<int> run(const Arguments& arguments) {
   std::optional<Graph> graph;
-  SHALE_TRY(const Package package, load_package(arguments, graph));
+  std::optional<CompileOptions> options;
+  SHALE_TRY(const Package package, load_package(arguments, graph, options));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   const Variant& variant = package.variants.front();
   SHALE_TRY(const std::vector<Tensor> inputs, read_inputs(arguments, variant));
@@ -103,31 +108,37 @@ Result<int> run(const Arguments& arguments) {
   const bool measure = arguments.profile || !arguments.profile_file.empty();
   SHALE_TRY(const std::vector<Tensor> outputs,
             run_network(device, package, inputs, arguments.repeat, measure ? &times : nullptr));
-  SHALE_TRY_VOID(device.close());
 
   Json json{{"device", device.context().caps.name}};
   int exit = kDone;
   const std::vector<const Resource*> names = tensors_of(variant, Category::kOutput);
+  std::vector<OutputCheck> checks;
+  std::vector<LayerCheck> layers;
   if (arguments.check) {
     SHALE_TRY_VOID(match_shapes(*graph, variant));
     Progress progress("interpreting");
-    const auto step = [&](uint32_t node, uint32_t count) { return progress.step(node, count); };
-    const bool bounded = has_reals(*graph);
-    std::vector<Tensor> expected;
-    std::vector<Bounds> bounds;
-    if (bounded) {
-      SHALE_TRY(bounds, interpret_bounds(*graph, inputs, step));
-    } else {
-      SHALE_TRY(expected, interpret(*graph, inputs, step));
-    }
+    SHALE_TRY(checks, check_outputs(*graph, inputs, outputs, [&](uint32_t node, uint32_t count) {
+                return progress.step(node, count);
+              }));
     for (size_t i = 0; i < outputs.size(); ++i) {
-      const std::optional<std::string> difference = bounded
-                                                        ? first_outside(outputs[i], bounds[i])
-                                                        : first_difference(outputs[i], expected[i]);
-      json["check"][names[i]->name] = difference.value_or(bounded ? "within bounds" : "equal");
-      if (difference) exit = kRefused;
+      json["check"][names[i]->name] =
+          checks[i].difference.value_or(checks[i].widest ? "within bounds" : "equal");
+      if (checks[i].widest && std::isfinite(*checks[i].widest))
+        json["bounds"][names[i]->name] = *checks[i].widest;
+      if (checks[i].difference) exit = kRefused;
+    }
+    if (has_reals(*graph) && options) {
+      SHALE_TRY(layers,
+                check_layers(device, *graph, *options, inputs, [&](uint32_t layer, uint32_t count) {
+                  return progress.step(layer, count);
+                }));
+      for (const LayerCheck& layer : layers) {
+        json["layers"][layer.name] = layer.check.difference.value_or("within bounds");
+        if (layer.check.difference) exit = kRefused;
+      }
     }
   }
+  SHALE_TRY_VOID(device.close());
   if (!arguments.output_folder.empty()) {
     std::error_code error;
     fs::create_directories(arguments.output_folder, error);
@@ -154,12 +165,10 @@ Result<int> run(const Arguments& arguments) {
     return exit;
   }
   fmt::print("ran on {}\n", device.context().caps.name);
-  if (arguments.check)
-    for (const auto& [name, text] : json["check"].items())
-      fmt::print("output \"{}\": {} the interpreter\n", name,
-                 text == "equal"           ? "equal to"
-                 : text == "within bounds" ? "within the rounding bounds of"
-                                           : "differs from (" + text.get<std::string>() + ")");
+  for (size_t i = 0; i < checks.size(); ++i)
+    fmt::print("output \"{}\": {}\n", names[i]->name, checks[i].text());
+  for (const LayerCheck& layer : layers)
+    fmt::print("layer \"{}\" alone: {}\n", layer.name, layer.check.text());
   if (arguments.profile) {
     for (const DispatchTime& time : times)
       fmt::print("  {:>10.1f} us {:>5.1f} %  {:<20} {}\n", time.time_us,

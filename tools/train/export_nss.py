@@ -1,7 +1,8 @@
 #!/usr/bin/python3
-"""Writes the model folder of a trained NSS network: model.tosa, weights.npz and golden vectors.
+"""Writes the model folder of a trained NSS network: the network in four precisions, weights.npz, golden vectors.
 
-Written into OUT: model.tosa (INT8, the input size of a 960x540 picture), weights.npz (float weights, activation ranges
+Written into OUT: model.tosa (INT8, the input size of a 960x540 picture), model.int16.tosa, model.fp32.tosa and
+model.fp16.tosa, quantization.json (what the codes of their tensors mean), weights.npz (float weights, activation ranges
 and the training record, from which everything here can be made again) and golden/<tensor>.npy: a structured input
 of 64x64 texels and the outputs of the exact integer network for it.
 
@@ -20,6 +21,7 @@ import numpy as np
 import torch
 
 import nss
+import precisions
 from tosa_writer import write_atomically
 
 GOLDEN_SIZE = 64
@@ -44,7 +46,13 @@ def export(weights: Path, out: Path) -> nss.Int8Nss:
     network = nss.to_int8(model)
     (out / "golden").mkdir(parents=True, exist_ok=True)
     nss.save_weights(out / "weights.npz", model, record)
-    write_atomically(out / "model.tosa", nss.build_graph(network, *nss.STORED[model.mode.name]).pack())
+    size = nss.STORED[model.mode.name]
+    write_atomically(precisions.file_in(out, "int8"), nss.build_graph(network, *size).pack())
+    write_atomically(precisions.file_in(out, "int16"), nss.build_short_graph(model, *size).pack())
+    for precision, dtype in precisions.FLOATS.items():
+        write_atomically(precisions.file_in(out, precision), nss.build_real_graph(model, *size, dtype).pack())
+    scales = nss.tensor_scales(model, network)
+    write_atomically(out / "quantization.json", precisions.quantization_json(scales))
     codes = golden_input()
     np.save(out / "golden" / "input.npy", codes.numpy())
     for name, value in network.run(codes).items():

@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 """Quantizes trained SRPO weights and writes a model folder: graph, frame description, golden vectors.
 
-Written into OUT: model.tosa (INT8, shapes for 64x64), frame.json, weights.npz (the float weights and the
+Written into OUT: model.tosa (INT8, shapes for 64x64), model.int16.tosa, model.fp32.tosa and model.fp16.tosa,
+quantization.json (what the codes of their tensors mean), frame.json, weights.npz (the float weights and the
 training record, from which everything here can be made again) and golden/input.npy, golden/offsets.npy.
 
 Examples:
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+import precisions
 import quantize
 import shapes
 import srpo
@@ -40,6 +42,61 @@ def build_graph(network: quantize.Int8Srpo, size: int = GRAPH_SIZE) -> GraphWrit
             x = graph.clamp(f"relu{index}", x, -128, 127)
     graph.output(x)
     return graph
+
+
+PAD = (2, 2, 2, 2)
+
+
+def build_real_graph(model: srpo.Srpo, network: quantize.Int8Srpo, dtype: str, size: int = GRAPH_SIZE) -> GraphWriter:
+    """The graph in FP32 or FP16, with the weights as they were trained."""
+    graph = GraphWriter()
+    codes = graph.input("input", (1, size, size, 3))
+    x = precisions.real_input(graph, codes, _input_scale(), dtype)
+    for index, conv in enumerate((model.conv1, model.conv2), start=1):
+        x = precisions.relu(graph, f"relu{index}", precisions.real_conv(graph, f"conv{index}", x, conv, PAD))
+    x = graph.resize_nearest("upsample", x, model.scale)
+    x = precisions.real_conv(graph, "conv3", x, model.conv3, PAD)
+    graph.output(precisions.real_output(graph, "offsets", x, _offset_scale(network)))
+    return graph
+
+
+def build_short_graph(model: srpo.Srpo, network: quantize.Int8Srpo, size: int = GRAPH_SIZE) -> GraphWriter:
+    """The graph with int16 activations, in the ranges of the INT8 ones."""
+    graph, scales = GraphWriter(), short_scales(network)
+    x, scale = precisions.short_input(graph, graph.input("input", (1, size, size, 3)), _input_scale())
+    for index, conv in enumerate((model.conv1, model.conv2), start=1):
+        result = f"relu{index}"
+        x = precisions.short_conv(graph, f"conv{index}", f"conv{index}/rescale", x, scale, conv, scales[result],
+                                  "INT16", PAD)
+        x, scale = precisions.relu(graph, result, x), scales[result][0]
+    x = graph.resize_nearest("upsample", x, model.scale)
+    graph.output(precisions.short_conv(graph, "conv3", "offsets", x, scale, model.conv3, scales["offsets"], "INT8",
+                                       PAD))
+    return graph
+
+
+def _input_scale() -> precisions.Scale:
+    return (quantize.INPUT_SCALE, quantize.INPUT_ZERO_POINT)
+
+
+def _offset_scale(network: quantize.Int8Srpo) -> precisions.Scale:
+    return (network.offset_scale, network.layers[2].output_zp)
+
+
+def short_scales(network: quantize.Int8Srpo) -> dict[str, precisions.Scale]:
+    """Scale and zero point of the tensors of the INT16 form."""
+    relus = [(layer.output_scale * 255.0 / precisions.INT16_MAX, 0) for layer in network.layers[:2]]
+    return {"input": _input_scale(), "relu1": relus[0], "relu2": relus[1], "upsample": relus[1],
+            "offsets": _offset_scale(network)}
+
+
+def tensor_scales(network: quantize.Int8Srpo) -> dict[str, dict[str, precisions.Scale]]:
+    """For quantization.json."""
+    ends = {"input": _input_scale(), "offsets": _offset_scale(network)}
+    codes = [(layer.output_scale, layer.output_zp) for layer in network.layers[:2]]
+    return {"int8": {**ends, "conv1/rescale": codes[0], "relu1": codes[0], "conv2/rescale": codes[1],
+                     "relu2": codes[1], "upsample": codes[1]},
+            "int16": short_scales(network), "fp32": ends, "fp16": ends}
 
 
 def frame_description(network: quantize.Int8Srpo) -> dict:
@@ -85,7 +142,11 @@ def export(weights: Path, out: Path) -> quantize.Int8Srpo:
     golden = golden_input()
     (out / "golden").mkdir(parents=True, exist_ok=True)
     srpo.save_weights(out / "weights.npz", model, record)
-    write_atomically(out / "model.tosa", build_graph(network).pack())
+    write_atomically(precisions.file_in(out, "int8"), build_graph(network).pack())
+    write_atomically(precisions.file_in(out, "int16"), build_short_graph(model, network).pack())
+    for precision, dtype in precisions.FLOATS.items():
+        write_atomically(precisions.file_in(out, precision), build_real_graph(model, network, dtype).pack())
+    write_atomically(out / "quantization.json", precisions.quantization_json(tensor_scales(network)))
     text = json.dumps(frame_description(network), indent=1)
     write_atomically(out / "frame.json", (text + "\n").encode())
     np.save(out / "golden" / "input.npy", golden)

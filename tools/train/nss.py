@@ -21,6 +21,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+import precisions
 import quantize
 import srpo
 from nss_passes import MODES, Mode
@@ -361,6 +362,109 @@ def build_graph(network: Int8Nss, rows: int, columns: int) -> GraphWriter:
     for name in outputs(network.mode):
         graph.output(values[name])
     return graph
+
+
+# ---- float and INT16 ---------------------------------------------------------------------------------------
+
+INPUT_SCALE = (1.0 / 255.0, -128)
+OUTPUT_SCALE = (1.0 / 254.0, -127)
+#: Logits of int16 codes: a power of two beyond LOGIT_REACH.
+SHORT_LOGIT_SCALE = 8.0 / 32768.0
+
+
+def _pad(node: Conv) -> tuple[int, int, int, int]:
+    return (1, 0, 1, 0) if node.stride == 2 else (1, 1, 1, 1)
+
+
+def build_real_graph(model: Nss, rows: int, columns: int, dtype: str) -> GraphWriter:
+    """The graph in FP32 or FP16, with the weights as they were trained."""
+    graph = GraphWriter()
+    codes = graph.input("input", (1, rows, columns, INPUT_CHANNELS))
+    values = {"input": precisions.real_input(graph, codes, INPUT_SCALE, dtype)}
+    for node in model.nodes:
+        if isinstance(node, Concat):
+            values[node.name] = graph.concat(node.name, [values[s] for s in node.sources], 3)
+        elif isinstance(node, Up):
+            values[node.name] = graph.resize_nearest(node.name, values[node.source], 2)
+        else:
+            name = f"{node.name}/logit" if node.sigmoid else f"{node.name}/acc"
+            x = precisions.real_conv(graph, name, values[node.source], model.convs[node.name], _pad(node),
+                                     (node.stride, node.stride))
+            if node.sigmoid:
+                x = graph.sigmoid(f"{node.name}/real", x)
+                values[node.name] = precisions.real_output(graph, node.name, x, OUTPUT_SCALE)
+            else:
+                values[node.name] = precisions.relu(graph, node.name, x)
+    for name in outputs(model.mode):
+        graph.output(values[name])
+    return graph
+
+
+def short_scales(model: Nss) -> dict[str, precisions.Scale]:
+    """Scale and zero point of every tensor of the INT16 form."""
+    scales = {"input": INPUT_SCALE}
+    for node in model.nodes:
+        if isinstance(node, Up):
+            scales[node.name] = scales[node.source]
+        elif isinstance(node, Concat):
+            scales[node.name] = scales[node.sources[0]]
+        elif node.sigmoid:
+            scales[f"{node.name}/logit"] = (SHORT_LOGIT_SCALE, 0)
+            scales[node.name] = OUTPUT_SCALE
+        else:
+            scales[node.name] = (model.ranges[node.name][1] / precisions.INT16_MAX, 0)
+    return scales
+
+
+def build_short_graph(model: Nss, rows: int, columns: int) -> GraphWriter:
+    """The graph with int16 activations. Errors: ValueError when there are no ranges."""
+    if not model.ranges:
+        raise ValueError("the model has no activation ranges yet")
+    graph, scales = GraphWriter(), short_scales(model)
+    codes = graph.input("input", (1, rows, columns, INPUT_CHANNELS))
+    x, scale = precisions.short_input(graph, codes, INPUT_SCALE)
+    values, steps = {"input": x}, {name: s for name, (s, _) in scales.items()} | {"input": scale}
+    for node in model.nodes:
+        if isinstance(node, Concat):
+            values[node.name] = graph.concat(node.name, [values[s] for s in node.sources], 3)
+        elif isinstance(node, Up):
+            values[node.name] = graph.resize_nearest(node.name, values[node.source], 2)
+        else:
+            result = f"{node.name}/logit" if node.sigmoid else node.name
+            x = precisions.short_conv(
+                graph, f"{node.name}/acc", result if node.sigmoid else f"{node.name}/rescale", values[node.source],
+                steps[node.source], model.convs[node.name], scales[result], "INT16", _pad(node),
+                (node.stride, node.stride))
+            if node.sigmoid:
+                values[node.name] = precisions.short_sigmoid(graph, node.name, x, SHORT_LOGIT_SCALE, OUTPUT_SCALE)
+            else:
+                values[node.name] = precisions.relu(graph, node.name, x)
+    for name in outputs(model.mode):
+        graph.output(values[name])
+    return graph
+
+
+def code_scales(network: Int8Nss) -> dict[str, precisions.Scale]:
+    """Scale and zero point of every tensor of the INT8 form."""
+    scales = {"input": INPUT_SCALE}
+    for node in nodes(network.mode):
+        if isinstance(node, Up):
+            scales[node.name] = scales[node.source]
+        elif isinstance(node, Concat):
+            scales[node.name] = scales[node.sources[0]]
+        else:
+            layer = network.layers[node.name]
+            own = (layer.output_scale, layer.output_zp)
+            scales[f"{node.name}/logit" if node.sigmoid else node.name] = own
+            if node.sigmoid:
+                scales[node.name] = OUTPUT_SCALE
+    return scales
+
+
+def tensor_scales(model: Nss, network: Int8Nss) -> dict[str, dict[str, precisions.Scale]]:
+    """For quantization.json."""
+    ends = {name: OUTPUT_SCALE for name in outputs(model.mode)} | {"input": INPUT_SCALE}
+    return {"int8": code_scales(network), "int16": short_scales(model), "fp32": ends, "fp16": ends}
 
 
 # ---- files ------------------------------------------------------------------------------------------------

@@ -15,17 +15,21 @@ from pathlib import Path
 import flatbuffers
 import numpy as np
 
-DTYPE = {"BOOL": 1, "INT8": 3, "INT16": 4, "INT32": 5}
-NUMPY = {"BOOL": np.bool_, "INT8": np.int8, "INT16": np.int16, "INT32": np.int32}
+DTYPE = {"BOOL": 1, "INT8": 3, "INT16": 4, "INT32": 5, "INT48": 6, "FP32": 7, "FP16": 8}
+NUMPY = {"BOOL": np.bool_, "INT8": np.int8, "INT16": np.int16, "INT32": np.int32, "INT48": np.int64,
+         "FP32": np.float32, "FP16": np.float16}
+#: By the type of the input: the types of weights, of bias and result, and of the accumulator.
+CONVOLUTION = {"INT8": ("INT8", "INT32", "INT32"), "INT16": ("INT8", "INT48", "INT48"),
+               "FP32": ("FP32", "FP32", "FP32"), "FP16": ("FP16", "FP16", "FP32")}
 RESIZE_MODE = {"NEAREST": 1, "BILINEAR": 2}
 PROPAGATE = 1
 SINGLE_ROUND = 1
 
 #: Operator number, which is also the number of its attribute table in the union.
 OP = {
-    "AVG_POOL2D": 2, "CONV2D": 3, "DEPTHWISE_CONV2D": 5, "MAX_POOL2D": 8, "CLAMP": 11, "ADD": 15, "MUL": 28,
+    "AVG_POOL2D": 2, "CONV2D": 3, "DEPTHWISE_CONV2D": 5, "MAX_POOL2D": 8, "CLAMP": 11, "SIGMOID": 13, "ADD": 15, "MUL": 28,
     "SUB": 30, "TABLE": 31, "CONCAT": 55, "RESHAPE": 57, "SLICE": 59, "TRANSPOSE": 61, "RESIZE": 64,
-    "RESCALE": 66, "CONST": 67, "CONST_SHAPE": 75,
+    "CAST": 65, "RESCALE": 66, "CONST": 67, "CONST_SHAPE": 75,
 }
 
 #: Fields of the attribute tables in id order; operators that are not listed have none.
@@ -99,12 +103,19 @@ class GraphWriter:
         self._outputs.append(tensor.name)
 
     def const(self, name: str, values, dtype: str) -> Tensor:
-        """A CONST operator; values outside the type are refused."""
+        """A CONST operator; values outside the type are refused, floats rounded to it."""
         array = np.asarray(values)
-        stored = array.astype(NUMPY[dtype])
-        if not np.array_equal(stored.astype(np.int64), array.astype(np.int64)):
+        with np.errstate(over="ignore"):  # what becomes infinite is refused below
+            stored = array.astype(NUMPY[dtype])
+        if dtype in ("FP32", "FP16"):
+            if not np.all(np.isfinite(stored)):
+                raise ValueError(f"constant '{name}' has values outside {dtype}")
+        elif dtype == "INT48" and np.any(np.abs(stored) >= 2**47):
             raise ValueError(f"constant '{name}' has values outside {dtype}")
-        data = np.ascontiguousarray(stored).astype(stored.dtype.newbyteorder("<")).tobytes()
+        elif not np.array_equal(stored.astype(np.int64), array.astype(np.int64)):
+            raise ValueError(f"constant '{name}' has values outside {dtype}")
+        stored = np.ascontiguousarray(stored).astype(stored.dtype.newbyteorder("<"))
+        data = stored.reshape(-1, 1).view(np.uint8)[:, :6].tobytes() if dtype == "INT48" else stored.tobytes()
         tensor = self._tensor(name, array.shape, dtype, data)
         self._operators.append(_Operator("CONST", {}, [], [name]))
         return tensor
@@ -124,7 +135,7 @@ class GraphWriter:
 
     def conv2d(self, name: str, x: Tensor, weight, bias, *, input_zp: int, weight_zp: int = 0,
                pad=(0, 0, 0, 0), stride=(1, 1), dilation=(1, 1)) -> Tensor:
-        """CONV2D of int8 by int8 weights `[oc, kh, kw, ic]` to int32; pad is top, bottom, left, right."""
+        """CONV2D by weights `[oc, kh, kw, ic]`, types as in CONVOLUTION; pad is top, bottom, left, right."""
         weight = np.asarray(weight)
         oc, kh, kw, ic = weight.shape
         return self._convolution("CONV2D", name, x, weight, bias, (kh, kw, ic, oc), input_zp, weight_zp, pad,
@@ -145,11 +156,12 @@ class GraphWriter:
             raise ValueError(f"'{name}': weights expect {ic} input channels, '{x.name}' has {c}")
         oh = self._extent(name, h - 1 + pad[0] + pad[1] - (kh - 1) * dilation[0], stride[0])
         ow = self._extent(name, w - 1 + pad[2] + pad[3] - (kw - 1) * dilation[1], stride[1])
-        operands = [x, self.const(f"{name}/weight", weight, "INT8"), self.const(f"{name}/bias", bias, "INT32"),
+        kind, result, accumulator = CONVOLUTION[x.dtype]
+        operands = [x, self.const(f"{name}/weight", weight, kind), self.const(f"{name}/bias", bias, result),
                     self.const(f"{name}/input_zp", [input_zp], x.dtype),
-                    self.const(f"{name}/weight_zp", [weight_zp], "INT8")]
-        return self._emit(op, name, operands, (n, oh, ow, oc), "INT32", pad=pad, stride=stride,
-                          dilation=dilation, acc_type=DTYPE["INT32"])
+                    self.const(f"{name}/weight_zp", [weight_zp], kind)]
+        return self._emit(op, name, operands, (n, oh, ow, oc), result, pad=pad, stride=stride,
+                          dilation=dilation, acc_type=DTYPE[accumulator])
 
     @staticmethod
     def _extent(name: str, span: int, stride: int) -> int:
@@ -159,21 +171,25 @@ class GraphWriter:
 
     def rescale(self, name: str, x: Tensor, multiplier, shift, *, input_zp: int = 0, output_zp: int = 0,
                 dtype: str = "INT8") -> Tensor:
-        """RESCALE, scale32, single rounding; per channel when several multipliers are given."""
+        """RESCALE, single rounding; per channel when several multipliers are given.
+
+        Multipliers of INT48 are 16 bits wide, all others 32.
+        """
+        wide = x.dtype != "INT48"
         multiplier, shift = np.atleast_1d(multiplier), np.atleast_1d(shift)
         per_channel = len(multiplier) > 1
         if len(shift) != len(multiplier) or (per_channel and len(multiplier) != x.shape[-1]):
             raise ValueError(f"'{name}': {len(multiplier)} multipliers, {len(shift)} shifts, {x.shape[-1]} channels")
         if shift.min() < 2 or shift.max() > 62 or multiplier.min() < 0:
             raise ValueError(f"'{name}': shifts must lie in 2 to 62 and multipliers must not be negative")
-        operands = [x, self.const(f"{name}/multiplier", multiplier, "INT32"),
+        operands = [x, self.const(f"{name}/multiplier", multiplier, "INT32" if wide else "INT16"),
                     self.const(f"{name}/shift", shift, "INT8"),
                     self.const(f"{name}/input_zp", [input_zp], x.dtype),
                     self.const(f"{name}/output_zp", [output_zp], dtype)]
-        return self._emit("RESCALE", name, operands, x.shape, dtype, scale32=True, rounding_mode=SINGLE_ROUND,
+        return self._emit("RESCALE", name, operands, x.shape, dtype, scale32=wide, rounding_mode=SINGLE_ROUND,
                           per_channel=per_channel, input_unsigned=False, output_unsigned=False)
 
-    def clamp(self, name: str, x: Tensor, low: int, high: int) -> Tensor:
+    def clamp(self, name: str, x: Tensor, low, high) -> Tensor:
         """CLAMP to stored values low to high."""
         kind = np.dtype(NUMPY[x.dtype]).newbyteorder("<")
         return self._emit("CLAMP", name, [x], x.shape, x.dtype, min_val=np.array(low, kind).tobytes(),
@@ -208,10 +224,22 @@ class GraphWriter:
         return self._emit("CONCAT", name, parts, shape, parts[0].dtype, axis=axis)
 
     def table(self, name: str, x: Tensor, entries) -> Tensor:
-        """TABLE of 256 int8 entries; entry i answers the stored value i - 128."""
-        if np.shape(entries) != (256,):
-            raise ValueError(f"'{name}': a table has 256 entries, found shape {list(np.shape(entries))}")
-        return self._emit("TABLE", name, [x, self.const(f"{name}/table", entries, "INT8")], x.shape, "INT8")
+        """TABLE of 256 int8 entries, entry i for the stored value i - 128; or of 513 int16 entries.
+
+        Those are entry i for the value (i - 256) * 128, straight between them, to int32 with 7 bits more.
+        """
+        length, result = (256, "INT8") if x.dtype == "INT8" else (513, "INT32")
+        if np.shape(entries) != (length,):
+            raise ValueError(f"'{name}': a table has {length} entries, found shape {list(np.shape(entries))}")
+        return self._emit("TABLE", name, [x, self.const(f"{name}/table", entries, x.dtype)], x.shape, result)
+
+    def sigmoid(self, name: str, x: Tensor) -> Tensor:
+        """SIGMOID of floats."""
+        return self._emit("SIGMOID", name, [x], x.shape, x.dtype)
+
+    def cast(self, name: str, x: Tensor, dtype: str) -> Tensor:
+        """CAST; a float becomes the nearest integer, ties to even, saturated."""
+        return self._emit("CAST", name, [x], x.shape, dtype)
 
     def _pool(self, op, name, x, kernel, stride, pad, zero_points, **attributes) -> Tensor:
         n, h, w, c = x.shape
@@ -237,17 +265,18 @@ class GraphWriter:
         return tuple(max(p, q) for p, q in zip(a.shape, b.shape))
 
     def add(self, name: str, a: Tensor, b: Tensor) -> Tensor:
-        """ADD of two int32 tensors."""
-        return self._emit("ADD", name, [a, b], self._broadcast(name, a, b), "INT32")
+        """ADD of two int32 or float tensors."""
+        return self._emit("ADD", name, [a, b], self._broadcast(name, a, b), a.dtype)
 
     def sub(self, name: str, a: Tensor, b: Tensor) -> Tensor:
-        """SUB of two int32 tensors."""
-        return self._emit("SUB", name, [a, b], self._broadcast(name, a, b), "INT32")
+        """SUB of two int32 or float tensors."""
+        return self._emit("SUB", name, [a, b], self._broadcast(name, a, b), a.dtype)
 
     def mul(self, name: str, a: Tensor, b: Tensor, shift: int = 0) -> Tensor:
-        """MUL of two int8, int16 or int32 tensors to int32; shift only for int32."""
+        """MUL of two integer tensors to int32, or of two float tensors; shift only for int32."""
         operands = [a, b, self.const(f"{name}/shift", [shift], "INT8")]
-        return self._emit("MUL", name, operands, self._broadcast(name, a, b), "INT32")
+        dtype = a.dtype if a.dtype in ("FP32", "FP16") else "INT32"
+        return self._emit("MUL", name, operands, self._broadcast(name, a, b), dtype)
 
     def slice(self, name: str, x: Tensor, start, size) -> Tensor:
         """SLICE of size elements from start on, per axis."""
