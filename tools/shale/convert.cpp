@@ -13,7 +13,7 @@ namespace shale {
 namespace {
 
 struct Arguments {
-  std::string input, output, to;
+  std::string input, output, to, precision = "int8";
   ImportArguments import;
   PackageToVgfOptions package;
   bool json = false;
@@ -85,7 +85,7 @@ Result<std::vector<uint8_t>> convert_model(const Arguments& arguments, const For
 
 Result<int> convert(const Arguments& arguments) {
   SHALE_TRY(const Format* const format, output_format(arguments));
-  SHALE_TRY(const ModelFiles model, load_model(arguments.input, ""));
+  SHALE_TRY(const ModelFiles model, load_model(arguments.input, "", arguments.precision));
   Json json{{"input", model.path}, {"output", arguments.output}};
   const Result<std::vector<uint8_t>> bytes =
       is_package(model.bytes) ? convert_package(arguments, *format, model.bytes, json)
@@ -112,6 +112,7 @@ Action add_convert(CLI::App& app) {
   app.add_option(
       "--to", arguments->to,
       "tosa, tir, vgf or spv (default: the suffix of the output); a package becomes vgf");
+  add_precision_option(app, arguments->precision);
   arguments->import.add_to(app);
   app.add_option("--variant", arguments->package.variant, "variant of the package");
   app.add_flag("--weights-as-inputs", arguments->package.weights_as_inputs,
