@@ -63,8 +63,8 @@ TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   const Outcome top = shale("--help");
   EXPECT_EQ(top.exit, 0);
   for (const char* command :
-       {"compile", "run", "play", "report", "fit", "trade", "dump", "convert", "verify", "conform",
-        "doctor", "diff", "scene", "eval", "bench", "tune"}) {
+       {"compile", "run", "play", "report", "fit", "trade", "compare", "dump", "convert", "verify",
+        "conform", "doctor", "diff", "scene", "eval", "bench", "tune"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
@@ -532,6 +532,45 @@ TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
        {" --precisions int9", " --scales 0.5", " --output-size 96", " --scales 7"})
     EXPECT_NE(shale(command + wrong).exit, 0) << wrong;
   EXPECT_NE(shale("trade " + scene + " -o " + file("t") + " -m " + kModels + "/scenes").exit, 0);
+}
+
+TEST_F(Cli, CompareNamesTheLayerWithAWrongMultiplier) {
+  const std::string model = kModels + "/srpo_x2";
+  ASSERT_EQ(shale("convert " + model + " -o " + file("a.tir")).exit, 0);
+  std::string text = read(file("a.tir"));
+  const std::string before = "%conv2/rescale/multiplier : i32[16] = [";
+  const size_t at = text.find(before);
+  ASSERT_NE(at, std::string::npos);
+  const size_t start = at + before.size(), end = text.find(',', start);
+  const long long multiplier = std::stoll(text.substr(start, end - start));
+  // Half as much again, or a third less where that leaves the range.
+  const long long wrong = multiplier < 1'400'000'000 ? multiplier * 3 / 2 : multiplier * 2 / 3;
+  text.replace(start, end - start, std::to_string(wrong));
+  write(file("b.tir"), text);
+
+  const Outcome same = shale("compare " + file("a.tir") + " " + file("a.tir"));
+  EXPECT_EQ(same.exit, 0) << same.text;
+  const Outcome int8 = shale("compare " + file("a.tir") + " " + file("b.tir"));
+  EXPECT_EQ(int8.exit, 1) << int8.text;
+  EXPECT_NE(int8.text.find("the first layer that departs: conv2/rescale, channel 0"),
+            std::string::npos)
+      << int8.text;
+
+  // Against the float network: real numbers, by the scales that the model's folder records.
+  fs::create_directories(file("folder"));
+  for (const char* name : {"model.fp32.tosa", "quantization.json", "model.tosa"})
+    fs::copy_file(model + "/" + name, file("folder") + "/" + name);
+  const std::string command =
+      "compare " + file("folder") + " " + file("folder") + " --precision-a fp32";
+  const Outcome right = shale(command);
+  EXPECT_EQ(right.exit, 0) << right.text;
+  fs::remove(file("folder/model.tosa"));
+  ASSERT_EQ(shale("convert " + file("b.tir") + " -o " + file("folder/model.tosa")).exit, 0);
+  const Outcome departed = shale(command);
+  EXPECT_EQ(departed.exit, 1) << departed.text;
+  EXPECT_NE(departed.text.find("the first layer that departs: relu2, channel 0"), std::string::npos)
+      << departed.text;
+  EXPECT_TRUE(nlohmann::json::accept(shale(command + " --json").text));
 }
 
 TEST_F(Cli, BenchComparesWithTheRoofAndTheNaiveKernel) {
