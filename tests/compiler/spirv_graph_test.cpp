@@ -689,7 +689,7 @@ OpGraphSetOutputARM %cat %c0
 TEST(SpirvGraph, ReadsOnlyTheChosenEntryPoint) {
   std::string module =
       module_of({{"x", "%b2"}}, {{"y", "%b2"}}, "%w = OpGraphConstantARM %b2 3\n",
-                "%r = OpExtInst %b2 %tosa SIGMOID %w\nOpGraphSetOutputARM %r %c0\n");
+                "%r = OpExtInst %b2 %tosa TANH %w\nOpGraphSetOutputARM %r %c0\n");
   module += R"(OpGraphEntryPointARM %g2 "other" %v1 %v0
 %g2 = OpGraphARM %gt
 %in_other = OpGraphInputARM %b2 %c0
@@ -711,7 +711,7 @@ OpGraphEndARM
 )");
   options.entry_point = "net";
   EXPECT_EQ(outcome(module, options),
-            "word 310 (OpExtInst), sigmoid: the operator is outside the integer profile");
+            "word 310 (OpExtInst), tanh: the operator is outside the integer profile");
   const auto listed = must(list_spirv_entry_points(bytes_of(assemble_spirv(module))));
   ASSERT_EQ(listed.size(), 2u);
   EXPECT_EQ(listed[0].constant_ids, (std::vector<uint32_t>{3}));
@@ -1052,8 +1052,8 @@ TEST(SpirvGraph, RefusesWhatBreaksARule) {
        "word 158 (OpExtInst): instruction 10 of the set \"Arm.MotionEngine.100\", expected "
        "\"TOSA.001000.1\""},
       {"%tosa CLAMP", "%c0 CLAMP", "word 156 (OpExtInst): %8 is no imported instruction set"},
-      {"CLAMP %e3 %e3 %c1 %in", "SIGMOID %in",
-       "word 156 (OpExtInst), sigmoid: the operator is outside the integer profile"},
+      {"CLAMP %e3 %e3 %c1 %in", "TANH %in",
+       "word 156 (OpExtInst), tanh: the operator is outside the integer profile"},
       {"CLAMP %e3 %e3 %c1 %in", "66 %in",
        "word 156 (OpExtInst): operator number 66 is not in TOSA.001000.1"},
       {"CLAMP %e3 %e3 %c1 %in", "67 %in",

@@ -88,7 +88,7 @@ inline const std::map<std::string, uint32_t>& spirv_enumerants() {
       {"CONV2D", 2},
       {"TRANSPOSE_CONV2D", 9},
       {"CLAMP", 10},
-      {"SIGMOID", 12},
+      {"TANH", 13},
       {"ADD", 14},
       {"ARITHMETIC_RIGHT_SHIFT", 15},
       {"TABLE", 30},

@@ -189,7 +189,6 @@ inline constexpr auto kOtherInstructions = std::to_array<NumberName>({
     {5, "fft2d"},
     {8, "rfft2d"},
     {11, "erf"},
-    {12, "sigmoid"},
     {13, "tanh"},
     {28, "pow"},
     {33, "ceil"},
