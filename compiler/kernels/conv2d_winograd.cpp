@@ -34,7 +34,15 @@ class Winograd {
       : conv_(problem),
         largest_(std::max(value_range(conv_.graph(), conv_.node().inputs[0]).max,
                           conv_.input_zero_point()) +
-                 128) {}
+                 128) {
+    tiling_.source = conv_.node().inputs[0];
+    tiling_.outside = conv_.input_zero_point();
+    tiling_.tile_height = tiling_.tile_width = tiling_.step_y = tiling_.step_x = 2;
+    const std::span<const int64_t> pad = conv_.ints(Attr::kPad);
+    for (int64_t row = 0; row < 4; ++row)
+      for (int64_t column = 0; column < 4; ++column)
+        tiling_.texels.push_back({row - pad[0], column - pad[2]});
+  }
 
   bool applies() const {
     const Shape& taps = conv_.weight_shape();
@@ -42,9 +50,7 @@ class Winograd {
       return conv_.ints(attr)[0] == 1 && conv_.ints(attr)[1] == 1;
     };
     return taps[1] == 3 && taps[2] == 3 && all_one(Attr::kStride) && all_one(Attr::kDilation) &&
-           conv_.lanes() >= 4 && products() <= kProducts &&
-           LiteralConv::fits_grid((conv_.out()[2] + 1) / 2, (conv_.out()[1] + 1) / 2,
-                                  conv_.out()[0]);
+           conv_.lanes() >= 4 && products() <= kProducts && conv_.fits_grid(tiling_);
   }
 
   /// Each pass transforms the input anew, so there are few, and equal ones.
@@ -54,8 +60,8 @@ class Winograd {
 
   WorkTable work() const {
     const Shape& out = conv_.out();
-    const double tiles =
-        static_cast<double>(out[0] * ((out[1] + 1) / 2) * literal_lanes((out[2] + 1) / 2));
+    const auto [height, width] = conv_.tiles(tiling_);
+    const double tiles = static_cast<double>(out[0] * height * literal_lanes(width));
     const int64_t in_channels = conv_.weight_shape()[3];
     WorkTable work{};
     work[Work::kDispatch] = 1;
@@ -63,7 +69,7 @@ class Winograd {
     work[Work::kWinogradProduct] = tiles * static_cast<double>(products());
     // Each pass makes its 16 values a channel anew; an output channel adds 16 sums to 4 results.
     work[Work::kTransform] = tiles * static_cast<double>(16 * (in_channels * passes() + out[3]));
-    work[Work::kFetch] = tiles * static_cast<double>(16 * in_channels / conv_.lanes());
+    work[Work::kFetch] = tiles * conv_.fetches(tiling_);
     work[Work::kResult] = tiles * static_cast<double>(4 * out[3]);
     return work;
   }
@@ -95,22 +101,13 @@ class Winograd {
   }
 
   KernelSource emit() {
-    // Texels are fetched once and kept as words.
-    const int64_t channels = conv_.weight_shape()[3], out_channels = conv_.out()[3];
-    const std::span<const int64_t> pad = conv_.ints(Attr::kPad);
-    std::string text = "  x *= 2;\n  y *= 2;\n";
-    for (int64_t row = 0; row < 4; ++row)
-      for (int64_t column = 0; column < 4; ++column)
-        for (int64_t c = 0; c < channels; c += conv_.lanes())
-          text += fmt::format(
-              "  {} {} = {};\n", conv_.texel_type(), texel(row, column, c),
-              conv_.fetch(conv_.node().inputs[0], c, fmt::format("y + {}", row - pad[0]),
-                          fmt::format("x + {}", column - pad[2]), conv_.input_zero_point()));
+    const int64_t out_channels = conv_.out()[3];
+    std::string text;
     const int64_t live = (out_channels + passes() - 1) / passes();
     const int64_t step = (live + 3) / 4 * 4;  // results make words
     for (int64_t first = 0; first < out_channels; first += step)
       text += pass(first, std::min(out_channels, first + step));
-    return conv_.finish(text, (conv_.out()[2] + 1) / 2, (conv_.out()[1] + 1) / 2);
+    return conv_.finish(tiling_, conv_.over_rows(tiling_, text));
   }
 
  private:
@@ -141,11 +138,6 @@ class Winograd {
     return largest_ * std::max(up, down);
   }
 
-  /// Name of the variable with the texel's channels around `c`.
-  std::string texel(int64_t row, int64_t column, int64_t c) const {
-    return fmt::format("f{}{}_{}", row, column, c / conv_.lanes() * conv_.lanes());
-  }
-
   /// V at position (i, j) for channels c .. c+3, in v0 .. v3.
   std::string input(size_t i, size_t j, int64_t c) const {
     std::string even, odd, minus_even, minus_odd;
@@ -154,7 +146,7 @@ class Winograd {
       for (size_t column = 0; column < 4; ++column) {
         const int sign = kBt[i][row] * kBt[j][column];
         if (sign == 0) continue;
-        std::string word = texel(static_cast<int64_t>(row), static_cast<int64_t>(column), c);
+        std::string word = conv_.texel(4 * row + column, c);
         if (conv_.lanes() == 16)
           word += fmt::format(".{}", "xyzw"[static_cast<size_t>(c % 16 / 4)]);
         negative = negative || sign < 0;
@@ -201,7 +193,8 @@ class Winograd {
       }
     for (int64_t pixel = 0; pixel < 4; ++pixel)
       conv_.results(
-          text, first, last, fmt::format("(y + {})", pixel / 2), fmt::format("(x + {})", pixel % 2),
+          text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
+          fmt::format("(x * 2 + {})", pixel % 2),
           [&](int64_t oc) { return fmt::format("(int(y{}_{}) >> 2)", pixel, oc); },
           fmt::format("_{}", pixel));
     return text + "  }\n";
@@ -220,6 +213,7 @@ class Winograd {
   }
 
   LiteralConv conv_;
+  Tiling tiling_;
   int64_t largest_;  ///< of any u
 };
 

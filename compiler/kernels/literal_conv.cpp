@@ -5,11 +5,9 @@
 namespace shale {
 namespace {
 
-/// From this many products on a module's passes become loops over rows: code that is run several
-/// times in a row is fetched once into the processor's instruction cache, and compilers take short
-/// blocks faster than one long one.
-constexpr int64_t kLoopedProducts = 20480;
-constexpr int64_t kLoopedRows = 4, kLoopedSums = 8;
+/// Most tiles below each other of an invocation: what two of them read is fetched once, and the
+/// registers and caches keep what the loop needs. But workgroups enough for all cores.
+constexpr int64_t kMostRows = 18, kLeastWorkgroups = 32;
 
 const Node& head_of(const GroupProblem& problem) {
   return problem.graph->node(*problem.group.head);
@@ -21,6 +19,14 @@ std::string plus(const std::string& base, int64_t offset) {
 }
 
 int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
+
+/// Invocations of a workgroup, along x: as many as leave few idle at the end of a row. Lanes come in
+/// eights, and small workgroups cost next to nothing on a CPU.
+int64_t local_x(int64_t grid_x) {
+  for (int64_t local = kLiteralLocalX; local > 8; local /= 2)
+    if ((ceil_div(grid_x, local) * local - grid_x) * 32 <= grid_x) return local;
+  return 8;
+}
 
 }  // namespace
 
@@ -218,32 +224,75 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
   text += "  }\n";
 }
 
-bool LiteralConv::fits_grid(int64_t grid_x, int64_t grid_y, int64_t batch) {
-  return ceil_div(grid_x, local_x(grid_x)) <= kMaxWorkgroups && grid_y <= kMaxWorkgroups &&
-         batch <= kMaxWorkgroups;
+std::optional<size_t> Tiling::below(size_t index) const {
+  const std::array<int64_t, 2> same{texels[index][0] + step_y, texels[index][1]};
+  const auto at = std::find(texels.begin(), texels.end(), same);
+  if (at == texels.end()) return std::nullopt;
+  return static_cast<size_t>(at - texels.begin());
 }
 
-/// Invocations of a workgroup, along x: as many as leave few idle at the end of a row. Lanes come in
-/// eights, and small workgroups cost next to nothing on a CPU.
-int64_t LiteralConv::local_x(int64_t grid_x) {
-  for (int64_t local = kLiteralLocalX; local > 8; local /= 2)
-    if ((ceil_div(grid_x, local) * local - grid_x) * 32 <= grid_x) return local;
-  return 8;
+std::array<int64_t, 2> LiteralConv::tiles(const Tiling& tiling) const {
+  return {ceil_div(out()[1], tiling.tile_height), ceil_div(out()[2], tiling.tile_width)};
 }
 
 int64_t literal_lanes(int64_t grid_x) { return ceil_div(grid_x, 8) * 8; }
 
-KernelSource LiteralConv::finish(const std::string& body, int64_t grid_x, int64_t grid_y) {
+int64_t LiteralConv::rows(const Tiling& tiling) const {
+  const auto [height, width] = tiles(tiling);
+  const int64_t workgroups = out()[0] * height * ceil_div(width, local_x(width));
+  const int64_t most = std::clamp<int64_t>(workgroups / kLeastWorkgroups, 1, kMostRows);
+  return ceil_div(height, ceil_div(height, most));
+}
+
+double LiteralConv::fetches(const Tiling& tiling) const {
+  double count = 0;
+  for (size_t i = 0; i < tiling.texels.size(); ++i)
+    count += tiling.below(i) ? 1.0 / static_cast<double>(rows(tiling)) : 1.0;
+  return count * static_cast<double>(ceil_div(weight_shape()[3], lanes_));
+}
+
+std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body) {
+  const int64_t count = rows(tiling);
+  std::string before, each, after;
+  for (size_t i = 0; i < tiling.texels.size(); ++i) {
+    const auto [row, column] = tiling.texels[i];
+    const std::optional<size_t> next = count > 1 ? tiling.below(i) : std::nullopt;
+    for (int64_t c = 0; c < weight_shape()[3]; c += lanes_) {
+      (next ? before : each) +=
+          fmt::format("  {} {} = {};\n", texel_type(), texel(i, c),
+                      fetch(tiling.source, c, plus("iy", row), plus("ix", column), tiling.outside));
+      if (next) after += fmt::format("  {} = {};\n", texel(i, c), texel(*next, c));
+    }
+  }
+  const std::string start = fmt::format("  {{\n  int row = y * {}, iy = row * {}, ix = x * {};\n",
+                                        count, tiling.step_y, tiling.step_x);
+  if (count == 1) return start + each + body + "  }\n";
+  // Left at its end: after a condition at its start CPU drivers run the body once more, for no lane.
+  return start + before + "  for (;;) {\n" + each + body + after +
+         fmt::format(
+             "  ++row;\n  iy += {};\n  if (row >= min(y * {} + {}, {})) break;\n  }}\n  }}\n",
+             tiling.step_y, count, count, tiles(tiling)[0]);
+}
+
+bool LiteralConv::fits_grid(const Tiling& tiling) const {
+  const auto [height, width] = tiles(tiling);
+  return ceil_div(width, local_x(width)) <= kMaxWorkgroups && height <= kMaxWorkgroups &&
+         out()[0] <= kMaxWorkgroups;
+}
+
+KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) {
+  const auto [height, width] = tiles(tiling);
   KernelSource source;
   source.glsl = codegen_.finish(
-      fmt::format("local_size_x = {}", local_x(grid_x)),
+      fmt::format("local_size_x = {}", local_x(width)),
       fmt::format("  int x = int(gl_GlobalInvocationID.x);\n  int y = "
                   "int(gl_GlobalInvocationID.y);\n  int n = int(gl_GlobalInvocationID.z);\n"
                   "  if (x >= {}) return;\n",
-                  grid_x) +
+                  width) +
           body);
-  source.workgroups = {static_cast<uint32_t>(ceil_div(grid_x, local_x(grid_x))),
-                       static_cast<uint32_t>(grid_y), static_cast<uint32_t>(out()[0])};
+  source.workgroups = {static_cast<uint32_t>(ceil_div(width, local_x(width))),
+                       static_cast<uint32_t>(ceil_div(height, rows(tiling))),
+                       static_cast<uint32_t>(out()[0])};
   source.bindings = codegen_.bindings();
   source.optimize = OptimizeBy::kForwarding;
   return source;
@@ -270,18 +319,6 @@ int64_t channels_per_module(const LiteralConv& conv, const TapMap& map, int64_t 
   return fit >= kLiveSums ? fit / kLiveSums * kLiveSums : fit / 4 * 4;
 }
 
-/// How a module goes over the sums of channels [first, last): `live` at a time, `rows` rows in a loop.
-struct Passes {
-  int64_t rows, live;
-};
-Passes passes_of(const LiteralConv& conv, const TapMap& map, int64_t first, int64_t last) {
-  const bool looped =
-      map.tile_height * map.tile_width == 1 &&
-      (last - first) * static_cast<int64_t>(map.texels.size()) * conv.weight_shape()[3] >
-          kLoopedProducts;
-  return looped ? Passes{kLoopedRows, kLoopedSums} : Passes{1, kLiveSums};
-}
-
 class TapEmitter {
  public:
   TapEmitter(const GroupProblem& problem, const TapMap& map, bool use_float)
@@ -289,41 +326,29 @@ class TapEmitter {
 
   KernelSource module(int64_t first, int64_t last) {
     const int64_t pixels = map_.tile_height * map_.tile_width;
-    const auto [rows, live] = passes_of(conv_, map_, first, last);
     std::string body;
-    for (int64_t oc = first; oc < last; oc += live) {
-      const int64_t end = std::min(last, oc + live);
-      const int64_t together = std::max<int64_t>(1, live / (end - oc));
+    for (int64_t oc = first; oc < last; oc += kLiveSums) {
+      const int64_t end = std::min(last, oc + kLiveSums);
+      const int64_t together = kLiveSums / (end - oc);
+      std::string passes;
       for (int64_t pixel = 0; pixel < pixels; pixel += together)
-        body += pass(oc, end, pixel, std::min(pixels, pixel + together), rows);
+        passes += pass(oc, end, pixel, std::min(pixels, pixel + together));
+      body += conv_.over_rows(map_, passes);
     }
-    return conv_.finish(body, ceil_div(conv_.out()[2], map_.tile_width),
-                        ceil_div(conv_.out()[1], map_.tile_height * rows));
+    return conv_.finish(map_, body);
   }
 
  private:
   /// Channels [first, last) of the tile's pixels [pixel, end).
-  std::string pass(int64_t first, int64_t last, int64_t pixel, int64_t end, int64_t rows) {
-    std::string text =
-        rows == 1
-            ? std::string("  {\n  int row = y;\n")
-            : fmt::format("  for (int i = 0; i < {0}; ++i) {{\n  int row = y * {0} + i;\n", rows);
-    text += fmt::format("  int iy = row * {}, ix = x * {};\n  {} t;\n", map_.step_y, map_.step_x,
-                        conv_.texel_type());
+  std::string pass(int64_t first, int64_t last, int64_t pixel, int64_t end) {
     const char* scalar = float_ ? "float" : "int";
+    std::string text = fmt::format("  {{\n  {} v;\n", scalar);
     for (int64_t p = pixel; p < end; ++p)
       for (int64_t oc = first; oc < last; ++oc)
         text += fmt::format("  {} a{}_{} = {};\n", scalar, p, oc, float_ ? "0.0" : "0");
-    text += fmt::format("  {} v;\n", scalar);
-    for (size_t texel = 0; texel < map_.texels.size(); ++texel)
-      for (int64_t c = 0; c < conv_.weight_shape()[3]; c += conv_.lanes()) {
-        const std::string terms = products(first, last, pixel, end, texel, c);
-        if (terms.empty()) continue;
-        const auto [row, column] = map_.texels[texel];
-        text += fmt::format("  t = {};\n", conv_.fetch(map_.source, c, plus("iy", row),
-                                                       plus("ix", column), map_.outside)) +
-                terms;
-      }
+    for (size_t i = 0; i < map_.texels.size(); ++i)
+      for (int64_t c = 0; c < conv_.weight_shape()[3]; ++c)
+        text += products(first, last, pixel, end, i, c);
     for (int64_t p = pixel; p < end; ++p) {
       const auto at = [](const char* base, int64_t tile, int64_t offset) {
         return fmt::format("({} * {} + {})", base, tile, offset);
@@ -336,25 +361,22 @@ class TapEmitter {
     return text + "  }\n";
   }
 
-  /// What a texel's channels from `c` on add to the sums. One product a statement, channel by
-  /// channel: the order in which the fewest values are live at once.
+  /// What channel `c` of a texel adds to the sums. One product a statement: the order in which the
+  /// fewest values are live at once.
   std::string products(int64_t first, int64_t last, int64_t pixel, int64_t end, size_t texel,
                        int64_t c) const {
-    std::string text;
-    for (int64_t lane = 0; lane < conv_.lanes(); ++lane) {
-      std::string sums;
-      for (int64_t p = pixel; p < end; ++p)
-        for (int64_t oc = first; oc < last; ++oc) {
-          const int64_t w = map_.weight(p, texel, oc, c + lane);
-          if (w != 0)
-            sums += fmt::format("  a{}_{} {}= v * {}{};\n", p, oc, w < 0 ? '-' : '+', std::abs(w),
-                                float_ ? ".0" : "");
-        }
-      if (!sums.empty())
-        text +=
-            fmt::format("  v = {}({});\n", float_ ? "float" : "int", conv_.byte("t", lane)) + sums;
-    }
-    return text;
+    std::string sums;
+    for (int64_t p = pixel; p < end; ++p)
+      for (int64_t oc = first; oc < last; ++oc) {
+        const int64_t w = map_.weight(p, texel, oc, c);
+        if (w != 0)
+          sums += fmt::format("  a{}_{} {}= v * {}{};\n", p, oc, w < 0 ? '-' : '+', std::abs(w),
+                              float_ ? ".0" : "");
+      }
+    if (sums.empty()) return sums;
+    return fmt::format("  v = {}({});\n", float_ ? "float" : "int",
+                       conv_.byte(conv_.texel(texel, c), c % conv_.lanes())) +
+           sums;
   }
 
   LiteralConv conv_;
@@ -380,27 +402,26 @@ WorkTable tap_work(const GroupProblem& problem, const TapMap& map, bool use_floa
   const LiteralConv conv(problem);
   const int64_t channels = conv.out()[3], pixels = map.tile_height * map.tile_width,
                 step = std::max<int64_t>(channels_per_module(conv, map, most_products), 1);
-  const double texels = static_cast<double>(map.texels.size()),
-               in_channels = static_cast<double>(conv.weight_shape()[3]);
-  const int64_t grid_x = ceil_div(conv.out()[2], map.tile_width);
+  const auto [height, width] = conv.tiles(map);
+  const double tiles = static_cast<double>(literal_lanes(width) * height * conv.out()[0]);
   WorkTable work{};
-  double passes = 0, invocations = 0;  // of a module; modules differ by their last part alone
+  double loops = 0, passes = 0;
   for (int64_t first = 0; first < channels; first += step) {
     const int64_t last = std::min(channels, first + step);
-    const auto [rows, live] = passes_of(conv, map, first, last);
-    const int64_t grid_y = ceil_div(conv.out()[1], map.tile_height * rows) * rows;
-    invocations = static_cast<double>(literal_lanes(grid_x) * grid_y * conv.out()[0]);
-    for (int64_t oc = first; oc < last; oc += live)
-      passes += static_cast<double>(
-          ceil_div(pixels, std::max<int64_t>(1, live / (std::min(last, oc + live) - oc))));
+    for (int64_t oc = first; oc < last; oc += kLiveSums) {
+      loops += 1;
+      passes +=
+          static_cast<double>(ceil_div(pixels, kLiveSums / (std::min(last, oc + kLiveSums) - oc)));
+    }
     work[Work::kDispatch] += 1;
   }
   work[Work::kCode] = static_cast<double>(map.products(conv));
-  work[use_float ? Work::kFloatProduct : Work::kIntProduct] = work[Work::kCode] * invocations;
-  work[Work::kFetch] =
-      invocations * passes * texels * std::ceil(in_channels / static_cast<double>(conv.lanes()));
-  work[Work::kUnpack] = invocations * passes * texels * in_channels;
-  work[Work::kResult] = invocations * static_cast<double>(pixels * channels);
+  work[use_float ? Work::kFloatProduct : Work::kIntProduct] = work[Work::kCode] * tiles;
+  work[Work::kFetch] = tiles * loops * conv.fetches(map);
+  work[Work::kUnpack] =
+      tiles * passes *
+      static_cast<double>(static_cast<int64_t>(map.texels.size()) * conv.weight_shape()[3]);
+  work[Work::kResult] = tiles * static_cast<double>(pixels * channels);
   work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
   return work;
 }
@@ -408,9 +429,7 @@ WorkTable tap_work(const GroupProblem& problem, const TapMap& map, bool use_floa
 std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,
                                          int64_t most_products) {
   const int64_t step = channels_per_module(conv, map, most_products);
-  if (step == 0 || !LiteralConv::fits_grid(ceil_div(conv.out()[2], map.tile_width),
-                                           ceil_div(conv.out()[1], map.tile_height), conv.out()[0]))
-    return std::nullopt;
+  if (step == 0 || !conv.fits_grid(map)) return std::nullopt;
   return ceil_div(conv.out()[3], step);
 }
 

@@ -19,6 +19,18 @@ inline constexpr int64_t kFloatExact = int64_t{1} << 24;
 /// Most invocations of a workgroup, along x.
 inline constexpr int64_t kLiteralLocalX = 64;
 
+/// Tiles of output pixels, and the texels of one value that a tile is made from.
+struct Tiling {
+  ValueId source;
+  int64_t outside = 0;                         ///< code that a texel outside of `source` has
+  int64_t tile_height = 1, tile_width = 1;     ///< output pixels
+  int64_t step_y = 1, step_x = 1;              ///< source texels from tile to tile
+  std::vector<std::array<int64_t, 2>> texels;  ///< (row, column) from the tile's first texel
+
+  /// The texel that the tile below has at the place of this one, or nothing if none is the same.
+  std::optional<size_t> below(size_t index) const;
+};
+
 /// A conv2d of int8 with constant weights and bias and what is fused around it; writes fetches and
 /// results, while the families write the sums in between.
 class LiteralConv {
@@ -60,13 +72,26 @@ class LiteralConv {
                const std::string& x, const std::function<std::string(int64_t oc)>& sum,
                const std::string& suffix);
 
-  /// `x`, `y`, `n` are the invocation's ids; grid in invocations.
-  KernelSource finish(const std::string& body, int64_t grid_x, int64_t grid_y);
-  /// True if a grid of so many invocations can be dispatched.
-  static bool fits_grid(int64_t grid_x, int64_t grid_y, int64_t batch);
+  /// Variable that holds the channels around `c` of texel `index` of a Tiling.
+  std::string texel(size_t index, int64_t c) const {
+    return fmt::format("t{}_{}", index, c / lanes_);
+  }
+  /// Fetches the texels of each of the invocation's tiles and runs `body` on them, in which `row` and
+  /// `x` are the tile's.
+  std::string over_rows(const Tiling& tiling, const std::string& body);
+  /// Tiles below each other that an invocation makes.
+  int64_t rows(const Tiling& tiling) const;
+  /// Fetches for a tile of one such loop, on average.
+  double fetches(const Tiling& tiling) const;
+  /// Tiles along y and x.
+  std::array<int64_t, 2> tiles(const Tiling& tiling) const;
+
+  /// `x`, `y`, `n` are the invocation's ids, of a grid of tiling's columns and loops over rows.
+  KernelSource finish(const Tiling& tiling, const std::string& body);
+  /// True if that grid can be dispatched.
+  bool fits_grid(const Tiling& tiling) const;
 
  private:
-  static int64_t local_x(int64_t grid_x);
   std::vector<int64_t> leaf_channels(ValueId id) const;
   std::string inside(ValueId id, int64_t c);
 
@@ -83,14 +108,9 @@ class LiteralConv {
 /// Invocations along x that run, idle lanes included: they come in eights.
 int64_t literal_lanes(int64_t grid_x);
 
-/// A convolution as sums over texels of one value: an invocation makes a tile of output pixels, and
+/// A convolution as sums over texels of one value:
 ///   sum(pixel, oc) = sum over texels and c of weight(pixel, texel, oc, c) * u(texel, c).
-struct TapMap {
-  ValueId source;
-  int64_t outside = 0;                         ///< code that a texel outside of `source` has
-  int64_t tile_height = 1, tile_width = 1;     ///< output pixels of an invocation
-  int64_t step_y = 1, step_x = 1;              ///< source texels from invocation to invocation
-  std::vector<std::array<int64_t, 2>> texels;  ///< (row, column) from the invocation's first texel
+struct TapMap : Tiling {
   int64_t products_per_channel = 0;  ///< with all weights of an output channel other than 0
   std::function<int64_t(int64_t pixel, size_t texel, int64_t oc, int64_t c)> weight;
 

@@ -291,8 +291,31 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .weight_max = 30});
   // Exact in float32 as it is, but not after Winograd's transforms.
   cases.push_back({.name = "beyond_winograd", .ic = 64, .oc = 1});
-  // So many products that passes become loops over rows.
-  cases.push_back({.name = "looped_rows", .h = 6, .w = 3, .ic = 32, .oc = 40, .zero_weights = 85});
+  // So high that an invocation goes over several rows, the last one over fewer.
+  cases.push_back(
+      {.name = "looped_rows", .h = 197, .w = 9, .ic = 32, .oc = 40, .zero_weights = 85});
+  cases.push_back({.name = "looped_rows_of_batch",
+                   .n = 3,
+                   .h = 70,
+                   .w = 70,
+                   .oc = 5,
+                   .input_zp = -128,
+                   .source = Source::kPad});
+  cases.push_back({.name = "looped_rows_stride_and_dilation",
+                   .h = 211,
+                   .w = 5,
+                   .ic = 3,
+                   .stride_y = 2,
+                   .dilation_y = 2,
+                   .pad = {3, 1, 0, 2},
+                   .input_zp = 17});
+  cases.push_back({.name = "looped_rows_upsampled",
+                   .h = 200,
+                   .w = 6,
+                   .ic = 8,
+                   .oc = 17,
+                   .input_zp = -3,
+                   .source = Source::kUpsample});
   // Few channels: an invocation makes a tile of pixels, which overlap by stride and dilation.
   cases.push_back({.name = "tile_oc1_stride2",
                    .h = 11,

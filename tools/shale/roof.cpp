@@ -15,7 +15,7 @@ constexpr uint32_t kLocal = 64;
 struct Probe {
   std::string body;  ///< statements; `x` is a varying int, the result goes to `r` (int)
   double work = 0;   ///< operations or bytes of an invocation
-  uint32_t groups = 1024;
+  uint32_t groups = 8192;
   bool texels = false;  ///< reads x through a texel buffer of 16 bytes a texel
   std::string declarations;
 };
