@@ -9,8 +9,8 @@
 // actual weights decides. The bias is added as an integer afterwards, so it does not count. i32 is
 // the same in int32 arithmetic and needs no proof: TOSA's legal results wrap back into range.
 //
-// phase is for a convolution over a nearest upsampling: the output pixels over one source texel see only a few source texels, and taps that fall on the same texel share one weight,
-// their sum. 3x3 over x2 has 4 products in place of 9. An exact rewrite: integers are added in
+// phase is for a convolution over a nearest upsampling: the output pixels over one source texel see
+// only a few source texels, and taps that fall on the same texel share one weight, their sum. 3x3 over x2 has 4 products in place of 9. An exact rewrite: integers are added in
 // another order, and the largest partial sum is no larger than before.
 #include <algorithm>
 #include <map>

@@ -28,7 +28,7 @@ class MulAddRoof {
  public:
   /// Takes the fastest of several shapes of code. Errors: kDevice.
   static Result<MulAddRoof> create(const ToolDevice& device);
-  /// GOP/s now, of one run of a few milliseconds. Errors: kDevice.
+  /// GOP/s now, of one run of some tens of milliseconds: shorter ones read too low. Errors: kDevice.
   Result<double> measure();
 
  private:

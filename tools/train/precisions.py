@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from quantize import scale_to_multiplier
 from tosa_writer import GraphWriter, Tensor
 
 #: Model file in a folder by the name that `shale --precision` takes.
@@ -73,18 +74,6 @@ def _weights(conv: torch.nn.Conv2d) -> tuple[np.ndarray, np.ndarray]:
 # ---- INT16 ------------------------------------------------------------------------------------------------
 
 
-def short_multiplier(scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors as multiplier / 2^shift, multiplier in [2^14, 2^15). Errors: ValueError."""
-    mantissa, exponent = np.frexp(np.asarray(scale, float))
-    multiplier = np.floor(mantissa * 2.0**15 + 0.5).astype(np.int64)
-    shift = 15 - exponent.astype(np.int64)
-    carry = multiplier == 2**15
-    multiplier, shift = np.where(carry, 2**14, multiplier), np.where(carry, shift - 1, shift)
-    if np.any(np.asarray(scale) <= 0) or shift.min() < 2 or shift.max() > 62:
-        raise ValueError(f"factor {np.asarray(scale).min()} to {np.asarray(scale).max()} cannot be rescaled")
-    return multiplier, shift
-
-
 def short_input(graph: GraphWriter, x: Tensor, scale: Scale) -> tuple[Tensor, float]:
     """int8 codes as int16 ones; their scale."""
     y = graph.rescale(f"{x.name}/wide", x, 2**30, 30 - (INPUT_STEPS.bit_length() - 1), input_zp=scale[1],
@@ -100,7 +89,7 @@ def short_conv(graph: GraphWriter, accumulator: str, name: str, x: Tensor, input
     codes = np.clip(np.floor(weight / step[:, None, None, None] + 0.5), -127, 127).astype(np.int64)
     y = graph.conv2d(accumulator, x, codes, np.floor(bias / (input_scale * step) + 0.5).astype(np.int64),
                      input_zp=0, pad=pad, stride=stride)
-    multiplier, shift = short_multiplier(input_scale * step / scale[0])
+    multiplier, shift = scale_to_multiplier(input_scale * step / scale[0], 15)
     return graph.rescale(name, y, multiplier, shift, output_zp=scale[1], dtype=dtype)
 
 

@@ -71,13 +71,16 @@ def input_codes(lr: np.ndarray) -> np.ndarray:
     return (lr.astype(np.int64) - 128).astype(np.int8)[None]
 
 
-def scale_to_multiplier(scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Real factors in (0, 2^28) as multiplier / 2^shift, multiplier in [2^30, 2^31). Errors: ValueError."""
+def scale_to_multiplier(scale: np.ndarray, bits: int = 31) -> tuple[np.ndarray, np.ndarray]:
+    """Real factors above 0 as multiplier / 2^shift, multiplier in [2^(bits-1), 2^bits), shift in [2, 62].
+
+    Errors: ValueError.
+    """
     mantissa, exponent = np.frexp(np.asarray(scale, float))
-    multiplier = np.floor(mantissa * 2.0**31 + 0.5).astype(np.int64)
-    shift = 31 - exponent.astype(np.int64)
-    carry = multiplier == 2**31
-    multiplier, shift = np.where(carry, 2**30, multiplier), np.where(carry, shift - 1, shift)
+    multiplier = np.floor(mantissa * 2.0**bits + 0.5).astype(np.int64)
+    shift = bits - exponent.astype(np.int64)
+    carry = multiplier == 2**bits
+    multiplier, shift = np.where(carry, 2**(bits - 1), multiplier), np.where(carry, shift - 1, shift)
     if np.any(np.asarray(scale) <= 0) or shift.min() < 2 or shift.max() > 62:
         raise ValueError(f"factor {np.asarray(scale).min()} to {np.asarray(scale).max()} cannot be rescaled")
     return multiplier, shift
