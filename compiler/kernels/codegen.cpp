@@ -390,10 +390,11 @@ std::string Codegen::view(const Node& node, const Position& at) {
   SHALE_CHECK(false && "no view operator");
 }
 
-void Codegen::epilogue(std::string& body, const Position& at, const std::string& suffix) {
+void Codegen::epilogue(std::string& body, const Position& at, const std::string& suffix,
+                       std::optional<ValueId> known) {
   for (const NodeId id : problem_.group.nodes) {
     const Node& node = graph_.node(id);
-    if (op_kind(node) != OpKind::kElementwise) continue;
+    if (op_kind(node) != OpKind::kElementwise || node.output == known) continue;
     const std::string local = fmt::format("e{}{}", node.output.index, suffix);
     body += fmt::format("  {} = {};\n", declare(value(node.output).type.dtype, local),
                         elementwise(node, at));

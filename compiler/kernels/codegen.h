@@ -42,8 +42,9 @@ class Codegen {
   std::string elementwise(const Node& node, const Position& at);
 
   /// Appends the elementwise nodes after the head to `body`, in order; `at` is a position of the
-  /// group's result. `suffix` keeps locals of unrolled copies apart.
-  void epilogue(std::string& body, const Position& at, const std::string& suffix);
+  /// group's result. `suffix` keeps locals of unrolled copies apart; `known` is in locals() already.
+  void epilogue(std::string& body, const Position& at, const std::string& suffix,
+                std::optional<ValueId> known = std::nullopt);
 
   /// Stores `expression` as an element of the group's result.
   std::string store(ValueId id, const Position& at, const std::string& expression);

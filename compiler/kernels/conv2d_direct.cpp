@@ -1,13 +1,15 @@
-// conv2d_s8_f32exact, conv2d_s8_phase and conv2d_s8_i32: sums of products with the weights as
-// literals in the code.
+// conv2d_s8_f64pair, conv2d_s8_f32exact, conv2d_s8_i32 and conv2d_s8_phase: sums of products with
+// the weights as literals in the code.
 //
 // Meaning of a workgroup: a strip of 64 tiles of output pixels; one invocation makes all output
-// channels of one tile (of the module's slice of channels), 16 sums at a time in registers. Source:
-// ours; figures in compiler/kernels/README.md.
+// channels of one tile (of the module's slice of channels), 16 to 20 sums at a time in registers.
+// Source: ours; figures in compiler/kernels/README.md.
 //
-// f32exact sums in float32, exact while every partial sum stays below 2^24; the range proof of the
-// actual weights decides. The bias is added as an integer afterwards, so it does not count. i32 is
-// the same in int32 arithmetic and needs no proof: TOSA's legal results wrap back into range.
+// f64pair makes two tiles in one go: the byte of one and, 24 bits up, that of the other are one
+// number, a weight times it is both products, and a double holds both sums, exactly while each is
+// below 2^23; the range proof of the actual weights decides. f32exact makes one tile in float32,
+// exact below 2^24. The bias is added afterwards, so it does not count. i32 is the same in int32
+// arithmetic and needs no proof: TOSA's legal results wrap back into range.
 //
 // phase is for a convolution over a nearest upsampling: the output pixels over one source texel see
 // only a few source texels, and taps that fall on the same texel share one weight, their sum. 3x3 over x2 has 4 products in place of 9. An exact rewrite: integers are added in
@@ -22,7 +24,9 @@ namespace {
 
 /// Most products in a module: bounds the driver's compile time, which grows faster than the code,
 /// and in integer arithmetic much faster (16,500 integer products took it six minutes).
-constexpr int64_t kFloatProducts = 40960, kIntegerProducts = 4608;
+int64_t most_products(Arithmetic arithmetic) {
+  return arithmetic == Arithmetic::kInt32 ? 4608 : 40960;
+}
 constexpr int64_t kMaxModules = 64;
 constexpr int64_t kMaxUpsampling = 4;
 
@@ -45,7 +49,7 @@ std::set<int64_t> offsets(int64_t pixels, int64_t stride, int64_t taps, int64_t 
 
 /// A tile is one pixel where there are many channels; with fewer it is as many pixels as fill the
 /// live sums, so that neighbours share their fetches.
-TapMap direct_map(const LiteralConv& conv, int64_t most_products) {
+TapMap direct_map(const LiteralConv& conv, Arithmetic arithmetic) {
   const Shape& taps = conv.weight_shape();
   const int64_t channels = conv.out()[3];
   TapMap map;
@@ -54,7 +58,8 @@ TapMap direct_map(const LiteralConv& conv, int64_t most_products) {
   if (channels <= 8) {
     map.tile_height = channels > 4 ? 1 : channels > 1 ? 2 : 4;
     map.tile_width = channels > 2 ? 2 : 4;
-    if (map.tile_height * map.tile_width * channels * taps[1] * taps[2] * taps[3] > most_products)
+    if (map.tile_height * map.tile_width * channels * taps[1] * taps[2] * taps[3] >
+        most_products(arithmetic))
       map.tile_height = map.tile_width = 1;
   }
   map.products_per_channel = map.tile_height * map.tile_width * taps[1] * taps[2] * taps[3];
@@ -75,6 +80,7 @@ TapMap direct_map(const LiteralConv& conv, int64_t most_products) {
     const auto kx = tap(from[texel][1], pixel % width, stride[1], dilation[1], shape[2]);
     return ky && kx ? conv.weight(oc, *ky, *kx, c) : 0;
   };
+  map.finish(arithmetic);
   return map;
 }
 
@@ -156,50 +162,63 @@ std::optional<TapMap> phase_map(const LiteralConv& conv) {
           sum += conv.weight(oc, ky, kx, c);
     return sum;
   };
+  map.finish(Arithmetic::kDoublePair);
   return map;
 }
 
-bool supports(const GroupProblem& problem, const DeviceProfile& profile, bool phase,
-              int64_t most_products) {
+using MakeMap = std::optional<TapMap> (*)(const LiteralConv& conv);
+
+std::optional<TapMap> pair_map(const LiteralConv& conv) {
+  return direct_map(conv, Arithmetic::kDoublePair);
+}
+std::optional<TapMap> float_map(const LiteralConv& conv) {
+  return direct_map(conv, Arithmetic::kFloat32);
+}
+std::optional<TapMap> integer_map(const LiteralConv& conv) {
+  return direct_map(conv, Arithmetic::kInt32);
+}
+
+/// Every sum is proven to stay where the arithmetic is exact.
+bool is_exact(const GroupProblem& problem, Arithmetic arithmetic) {
+  if (arithmetic == Arithmetic::kInt32) return true;
+  const int64_t limit = arithmetic == Arithmetic::kFloat32 ? kFloatExact : kPairExact;
+  return problem.proof &&
+         std::all_of(problem.proof->magnitude.begin(), problem.proof->magnitude.end(),
+                     [&](int64_t bound) { return bound < limit; });
+}
+
+template <MakeMap make>
+bool supports(const GroupProblem& problem, const DeviceProfile& profile) {
   if (!LiteralConv::supports(problem, profile)) return false;
   const LiteralConv conv(problem);
-  const std::optional<TapMap> map =
-      phase ? phase_map(conv) : std::optional(direct_map(conv, most_products));
-  if (!map) return false;
-  const std::optional<int64_t> modules = count_tap_modules(conv, *map, most_products);
+  const std::optional<TapMap> map = make(conv);
+  if (!map || !is_exact(problem, map->arithmetic)) return false;
+  if (map->arithmetic == Arithmetic::kDoublePair && !profile.caps.features.has(Feature::kFloat64))
+    return false;
+  const std::optional<int64_t> modules =
+      count_tap_modules(conv, *map, most_products(map->arithmetic));
   return modules && *modules <= kMaxModules;
 }
 
-bool fits_float(const GroupProblem& problem) {
-  return problem.proof &&
-         std::all_of(problem.proof->magnitude.begin(), problem.proof->magnitude.end(),
-                     [](int64_t bound) { return bound < kFloatExact; });
+template <MakeMap make>
+WorkTable work(const GroupProblem& problem) {
+  const LiteralConv conv(problem);
+  const TapMap map = *make(conv);
+  return tap_work(problem, map, most_products(map.arithmetic));
+}
+
+template <MakeMap make>
+std::vector<KernelSource> emit(const GroupProblem& problem) {
+  const LiteralConv conv(problem);
+  const TapMap map = *make(conv);
+  return emit_taps(problem, map, most_products(map.arithmetic));
 }
 
 }  // namespace
 
-bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  return fits_float(problem) && supports(problem, profile, false, kFloatProducts);
-}
-
 int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile&) {
   const LiteralConv conv(problem);
-  return direct_map(conv, kFloatProducts).products(conv);
-}
-
-WorkTable conv2d_f32exact_work(const GroupProblem& problem) {
-  const LiteralConv conv(problem);
-  return tap_work(problem, direct_map(conv, kFloatProducts), true, kFloatProducts);
-}
-
-Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& problem,
-                                                       const DeviceProfile&) {
-  const LiteralConv conv(problem);
-  return emit_taps(problem, direct_map(conv, kFloatProducts), true, kFloatProducts);
-}
-
-bool conv2d_phase_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  return fits_float(problem) && supports(problem, profile, true, kFloatProducts);
+  return float_map(conv)->products(conv);
 }
 
 int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile&) {
@@ -207,30 +226,40 @@ int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile&)
   return phase_map(conv)->products(conv);
 }
 
-WorkTable conv2d_phase_work(const GroupProblem& problem) {
-  const LiteralConv conv(problem);
-  return tap_work(problem, *phase_map(conv), true, kFloatProducts);
+bool conv2d_f64pair_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  return supports<pair_map>(problem, profile);
+}
+WorkTable conv2d_f64pair_work(const GroupProblem& problem) { return work<pair_map>(problem); }
+Result<std::vector<KernelSource>> conv2d_f64pair_emit(const GroupProblem& problem,
+                                                      const DeviceProfile&) {
+  return emit<pair_map>(problem);
 }
 
+bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  return supports<float_map>(problem, profile);
+}
+WorkTable conv2d_f32exact_work(const GroupProblem& problem) { return work<float_map>(problem); }
+Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& problem,
+                                                       const DeviceProfile&) {
+  return emit<float_map>(problem);
+}
+
+bool conv2d_phase_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  return supports<phase_map>(problem, profile);
+}
+WorkTable conv2d_phase_work(const GroupProblem& problem) { return work<phase_map>(problem); }
 Result<std::vector<KernelSource>> conv2d_phase_emit(const GroupProblem& problem,
                                                     const DeviceProfile&) {
-  const LiteralConv conv(problem);
-  return emit_taps(problem, *phase_map(conv), true, kFloatProducts);
+  return emit<phase_map>(problem);
 }
 
 bool conv2d_i32_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  return supports(problem, profile, false, kIntegerProducts);
+  return supports<integer_map>(problem, profile);
 }
-
-WorkTable conv2d_i32_work(const GroupProblem& problem) {
-  const LiteralConv conv(problem);
-  return tap_work(problem, direct_map(conv, kIntegerProducts), false, kIntegerProducts);
-}
-
+WorkTable conv2d_i32_work(const GroupProblem& problem) { return work<integer_map>(problem); }
 Result<std::vector<KernelSource>> conv2d_i32_emit(const GroupProblem& problem,
                                                   const DeviceProfile&) {
-  const LiteralConv conv(problem);
-  return emit_taps(problem, direct_map(conv, kIntegerProducts), false, kIntegerProducts);
+  return emit<integer_map>(problem);
 }
 
 }  // namespace shale

@@ -1,16 +1,19 @@
-// conv2d_s8_winograd: F(2x2, 3x3) in float32 with transformed weights as literals, exact.
+// conv2d_s8_winograd: F(2x2, 3x3) with transformed weights as literals, two tiles packed in a double.
 //
-// One invocation makes a 2x2 tile of output pixels from the 4x4 texels under it. With
-//   V = B^T d B (input),  U = (2G) g (2G)^T (weights, four times the usual so that all are integers)
-//   4 y = A^T [sum over channels of U * V, position by position] A
-// a pixel takes 4 products a channel in place of 9. Everything is an integer in float32; it is exact
-// if every partial sum stays below 2^24 in magnitude, which is proven here from the actual weights:
-// for the sums at a position, and for the running output sums as linear forms in the texels, in the
-// very order in which the code adds. Source: Lavin and Gray, "Fast Algorithms for Convolutional
-// Neural Networks", 2015; the proof is ours, shown in tests/compiler/kernels_test.
+// One invocation makes two 2x2 tiles of output pixels next to each other from the 4x4 texels under
+// each. With
+//   V = B^T d B (input),  U = G g G^T (weights, multiples of 1/4)
+//   y = A^T [sum over channels of U * V, position by position] A
+// a pixel takes 4 products a channel in place of 9. All of it is linear in the texels d, so it is
+// done on P = d + 2^22 d', where d' belongs to the second tile: P and V are exact in 32-bit integers,
+// the products and their sums in doubles, which hold multiples of 1/4 below 2^51. At the end y + 2^22 y'
+// is taken apart, for which y has to lie within 2^21. Both are proven here from the actual weights.
+// Source: Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2015; packing and
+// proof are ours, shown in tests/compiler/kernels_test.
 //
-// The input transform works on pairs of bytes in 32-bit words: each is at most 1020 in magnitude, so
-// two fit a word with a bias that keeps the lower one from borrowing.
+// Sums over the positions run on without a new start, and the output transform takes differences:
+// then there is one order for all products of an output channel, and the driver's scheduler cannot
+// begin all positions at once and spill what it began.
 #include <algorithm>
 
 #include "compiler/kernels/literal_conv.h"
@@ -20,27 +23,22 @@ namespace {
 
 constexpr int kBt[4][4] = {{1, 0, -1, 0}, {0, 1, 1, 0}, {0, -1, 1, 0}, {0, 1, 0, -1}};
 constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, 2}};
-constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, -1}};
-/// Differences of two pairs of bytes are above -512.
-constexpr int kBias = 512;
-/// Most output channels of a pass.
-constexpr int64_t kMostSums = 20;
+/// Bits between the two tiles: V of the second one, up to 1020, ends at bit 31.
+constexpr int kSpacing = 22;
 /// Most products in a module: bounds the driver's compile time.
 constexpr int64_t kProducts = 32768;
 
 class Winograd {
  public:
   explicit Winograd(const GroupProblem& problem)
-      : conv_(problem),
-        largest_(std::max(value_range(conv_.graph(), conv_.node().inputs[0]).max,
-                          conv_.input_zero_point()) +
-                 128) {
+      : problem_(problem), conv_(problem) {
     tiling_.source = conv_.node().inputs[0];
     tiling_.outside = conv_.input_zero_point();
-    tiling_.tile_height = tiling_.tile_width = tiling_.step_y = tiling_.step_x = 2;
+    tiling_.tile_height = tiling_.step_y = 2;
+    tiling_.tile_width = tiling_.step_x = 4;
     const std::span<const int64_t> pad = conv_.ints(Attr::kPad);
     for (int64_t row = 0; row < 4; ++row)
-      for (int64_t column = 0; column < 4; ++column)
+      for (int64_t column = 0; column < int64_t{kColumns}; ++column)
         tiling_.texels.push_back({row - pad[0], column - pad[2]});
   }
 
@@ -66,36 +64,28 @@ class Winograd {
     WorkTable work{};
     work[Work::kDispatch] = 1;
     work[Work::kCode] = static_cast<double>(products());
-    work[Work::kWinogradProduct] = tiles * static_cast<double>(products());
+    work[Work::kPairProduct] = tiles * static_cast<double>(products());
     // Each pass makes its 16 values a channel anew; an output channel adds 16 sums to 4 results.
     work[Work::kTransform] = tiles * static_cast<double>(16 * (in_channels * passes() + out[3]));
     work[Work::kFetch] = tiles * conv_.fetches(tiling_);
-    work[Work::kResult] = tiles * static_cast<double>(4 * out[3]);
+    work[Work::kResult] = tiles * static_cast<double>(8 * out[3]);
     return work;
   }
 
-  /// Every partial sum of every output channel stays below 2^24, and four times the result too.
+  /// Results can be taken apart, and no sum on the way reaches what a double holds.
   bool is_exact() const {
-    const int64_t channels = conv_.weight_shape()[3];
+    if (!problem_.proof) return false;
     for (int64_t oc = 0; oc < conv_.weight_shape()[0]; ++oc) {
-      // Coefficients of the texels in each running output sum.
-      std::vector<int64_t> sums[2][2];
-      for (auto& row : sums)
-        for (auto& sum : row) sum.assign(static_cast<size_t>(16 * channels), 0);
+      if (problem_.proof->magnitude[static_cast<size_t>(oc)] >= int64_t{1} << (kSpacing - 1))
+        return false;
+      // Largest running sum of one tile, times four as the weights are; the output transform takes
+      // less than four of them together at any time.
+      int64_t bound = 0;
       for (size_t i = 0; i < 4; ++i)
-        for (size_t j = 0; j < 4; ++j) {
-          int64_t bound = 0;
-          for (int64_t c = 0; c < channels; ++c)
-            bound += std::abs(transformed(oc, i, j, c)) * largest_ * (i == 1 && j == 1 ? 4 : 2);
-          if (bound >= kFloatExact) return false;
-          for (size_t m = 0; m < 2; ++m)
-            for (size_t n = 0; n < 2; ++n) {
-              const int sign = kAt[m][i] * kAt[n][j];
-              if (sign == 0) continue;
-              add(sums[m][n], oc, i, j, sign);
-              if (magnitude(sums[m][n]) >= kFloatExact) return false;
-            }
-        }
+        for (size_t j = 0; j < 4; ++j)
+          for (int64_t c = 0; c < conv_.weight_shape()[3]; ++c)
+            bound += std::abs(transformed(oc, i, j, c)) * (i == 1 && j == 1 ? 1020 : 510);
+      if (4 * bound >= int64_t{1} << (53 - kSpacing - 1)) return false;
     }
     return true;
   }
@@ -111,6 +101,9 @@ class Winograd {
   }
 
  private:
+  static constexpr size_t kColumns = 6;  ///< of texels under two tiles
+
+  /// Four times U.
   int64_t transformed(int64_t oc, size_t i, size_t j, int64_t c) const {
     int64_t sum = 0;
     for (int64_t ky = 0; ky < 3; ++ky)
@@ -119,102 +112,95 @@ class Winograd {
     return sum;
   }
 
-  /// Adds sign * (sum over channels of U * V) at position (i, j), as coefficients of the texels.
-  void add(std::vector<int64_t>& coefficients, int64_t oc, size_t i, size_t j, int sign) const {
-    const int64_t channels = conv_.weight_shape()[3];
-    for (int64_t c = 0; c < channels; ++c) {
-      const int64_t u = sign * transformed(oc, i, j, c);
-      for (size_t row = 0; row < 4; ++row)
-        for (size_t column = 0; column < 4; ++column)
-          coefficients[(4 * row + column) * static_cast<size_t>(channels) +
-                       static_cast<size_t>(c)] += u * kBt[i][row] * kBt[j][column];
-    }
-  }
-
-  /// Largest magnitude of the form for texels in [0, largest].
-  int64_t magnitude(const std::vector<int64_t>& coefficients) const {
-    int64_t up = 0, down = 0;
-    for (const int64_t k : coefficients) (k > 0 ? up : down) += std::abs(k);
-    return largest_ * std::max(up, down);
-  }
-
-  /// V at position (i, j) for channels c .. c+3, in v0 .. v3.
-  std::string input(size_t i, size_t j, int64_t c) const {
-    std::string even, odd, minus_even, minus_odd;
-    bool negative = false;
-    for (size_t row = 0; row < 4; ++row)
-      for (size_t column = 0; column < 4; ++column) {
-        const int sign = kBt[i][row] * kBt[j][column];
-        if (sign == 0) continue;
-        std::string word = conv_.texel(4 * row + column, c);
-        if (conv_.lanes() == 16)
-          word += fmt::format(".{}", "xyzw"[static_cast<size_t>(c % 16 / 4)]);
-        negative = negative || sign < 0;
-        (sign > 0 ? even : minus_even) +=
-            fmt::format(" {} ({} & 0xff00ffu)", sign > 0 ? '+' : '-', word);
-        (sign > 0 ? odd : minus_odd) +=
-            fmt::format(" {} (({} >> 8) & 0xff00ffu)", sign > 0 ? '+' : '-', word);
-      }
-    const std::string bias = negative ? fmt::format("{}u", kBias * 0x10001) : "0u";
-    const std::string off = negative ? fmt::format(" - {}.0", kBias) : "";
-    return fmt::format(
-        "  e = {0}{2}{3};\n  o = {0}{4}{5};\n  v0 = float(e & 0xffffu){1};\n  v1 = float(o & "
-        "0xffffu){1};\n  v2 = float(e >> 16){1};\n  v3 = float(o >> 16){1};\n",
-        bias, off, even, minus_even, odd, minus_odd);
+  /// Sum of terms {0} with the signs of a row of B^T.
+  template <typename Term>
+  static std::string combine(const int (&signs)[4], const Term& term) {
+    std::string plus, minus;
+    for (size_t k = 0; k < 4; ++k)
+      if (signs[k] > 0) plus += (plus.empty() ? "" : " + ") + term(k);
+      else if (signs[k] < 0) minus += " - " + term(k);
+    return "(" + plus + minus + ")";
   }
 
   /// Output channels [first, last): position by position, the sums over the input channels, then
   /// their share in the four outputs.
   std::string pass(int64_t first, int64_t last) {
-    std::string text = "  {\n  uint e, o;\n  float v0, v1, v2, v3;\n";
-    for (int64_t oc = first; oc < last; ++oc) {
-      text += fmt::format("  float m{};\n", oc);
-      for (int pixel = 0; pixel < 4; ++pixel) text += fmt::format("  float y{}_{};\n", pixel, oc);
-    }
-    bool started[4] = {};
-    for (size_t i = 0; i < 4; ++i)
+    const int64_t channels = conv_.weight_shape()[3];
+    std::string text = "  {\n  double v;\n";
+    const auto packed = [](size_t row, size_t column, int64_t c) {
+      return fmt::format("p{}_{}_{}", row, column, c);
+    };
+    for (size_t row = 0; row < 4; ++row)
+      for (size_t column = 0; column < 4; ++column)
+        for (int64_t c = 0; c < channels; ++c) {
+          const size_t texel = kColumns * row + column;
+          text += fmt::format("  uint {} = {};\n", packed(row, column, c),
+                              conv_.byte_pair({texel, texel + 2}, c, kSpacing));
+        }
+    const auto each = [&](auto&& line) {
+      for (int64_t oc = first; oc < last; ++oc) text += line(oc);
+    };
+    each([](int64_t oc) {
+      std::string lines = fmt::format("  double m{0}, z0_{0}, z1_{0};\n", oc);
+      for (int pixel = 0; pixel < 4; ++pixel) lines += fmt::format("  double y{}_{};\n", pixel, oc);
+      return lines;
+    });
+    for (size_t i = 0; i < 4; ++i) {
       for (size_t j = 0; j < 4; ++j) {
-        for (int64_t oc = first; oc < last; ++oc) text += fmt::format("  m{} = 0.0;\n", oc);
-        for (int64_t c = 0; c < conv_.weight_shape()[3]; c += 4)
-          text += products(first, last, i, j, c);
-        for (size_t m = 0; m < 2; ++m)
-          for (size_t n = 0; n < 2; ++n) {
-            const int sign = kAt[m][i] * kAt[n][j];
-            const size_t pixel = 2 * m + n;
-            if (sign == 0) continue;
-            for (int64_t oc = first; oc < last; ++oc)
-              text += fmt::format("  y{}_{} {}= {}m{};\n", pixel, oc,
-                                  !started[pixel] ? ""
-                                  : sign > 0      ? "+"
-                                                  : "-",
-                                  !started[pixel] && sign < 0 ? "-" : "", oc);
-            started[pixel] = true;
+        text += "  for (;;) {\n";
+        each([](int64_t oc) { return fmt::format("  m{0} = 0.0lf;\n", oc); });
+        for (int64_t c = 0; c < channels; ++c) {
+          const std::string value = combine(kBt[i], [&](size_t row) {
+            return combine(kBt[j], [&](size_t column) { return packed(row, column, c); });
+          });
+          // Where all signs are plus the value may reach bit 31.
+          text += fmt::format("  v = double({}({}));\n", i == 1 && j == 1 ? "" : "int", value);
+          each([&](int64_t oc) {
+            const int64_t u = transformed(oc, i, j, c);
+            return u == 0 ? std::string()
+                          : fmt::format("  m{} {}= v * {:.2f}lf;\n", oc, u < 0 ? '-' : '+',
+                                        0.25 * static_cast<double>(std::abs(u)));
+          });
+        }
+        text += "  if (x >= 0) break;\n  }\n";
+        // Of a row of positions M: z0 = M0 + M1 + M2, z1 = M1 - M2 - M3.
+        each([&](int64_t oc) {
+          switch (j) {
+            case 0: return fmt::format("  z0_{0} = m{0};\n", oc);
+            case 1: return fmt::format("  z0_{0} += m{0};\n  z1_{0} = m{0};\n", oc);
+            case 2: return fmt::format("  z0_{0} += m{0};\n  z1_{0} -= m{0};\n", oc);
+            default: return fmt::format("  z1_{0} -= m{0};\n", oc);
           }
+        });
       }
-    for (int64_t pixel = 0; pixel < 4; ++pixel)
-      conv_.results(
-          text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
-          fmt::format("(x * 2 + {})", pixel % 2),
-          [&](int64_t oc) { return fmt::format("(int(y{}_{}) >> 2)", pixel, oc); },
-          fmt::format("_{}", pixel));
+      each([&](int64_t oc) {
+        std::string lines;
+        for (int n = 0; n < 2; ++n) {
+          if (i == 0) lines += fmt::format("  y{0}_{1} = z{0}_{1};\n", n, oc);
+          if (i == 1) lines += fmt::format("  y{0}_{1} += z{0}_{1};\n  y{2}_{1} = z{0}_{1};\n", n, oc, n + 2);
+          if (i == 2) lines += fmt::format("  y{0}_{1} += z{0}_{1};\n  y{2}_{1} -= z{0}_{1};\n", n, oc, n + 2);
+          if (i == 3) lines += fmt::format("  y{2}_{1} -= z{0}_{1};\n", n, oc, n + 2);
+        }
+        return lines;
+      });
+    }
+    for (int64_t pixel = 0; pixel < 4; ++pixel) {
+      each([&](int64_t oc) { return conv_.split(fmt::format("y{}_{}", pixel, oc), kSpacing); });
+      for (int64_t side = 0; side < 2; ++side)
+        conv_.results(
+            text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
+            fmt::format("(x * 4 + {})", 2 * side + pixel % 2),
+            [&](int64_t oc) {
+              return fmt::format("y{}_{}_{}", pixel, oc, side);
+            },
+            true, fmt::format("_{}_{}", side, pixel));
+    }
     return text + "  }\n";
   }
 
-  /// What channels c .. c+3 add to the sums at position (i, j).
-  std::string products(int64_t first, int64_t last, size_t i, size_t j, int64_t c) const {
-    std::string text;
-    for (int64_t lane = 0; lane < 4; ++lane)
-      for (int64_t oc = first; oc < last; ++oc) {
-        const int64_t u = transformed(oc, i, j, c + lane);
-        if (u != 0)
-          text += fmt::format("  m{} {}= v{} * {}.0;\n", oc, u < 0 ? '-' : '+', lane, std::abs(u));
-      }
-    return text.empty() ? text : input(i, j, c) + text;
-  }
-
+  const GroupProblem& problem_;
   LiteralConv conv_;
   Tiling tiling_;
-  int64_t largest_;  ///< of any u
 };
 
 }  // namespace

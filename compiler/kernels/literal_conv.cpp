@@ -1,6 +1,8 @@
 #include "compiler/kernels/literal_conv.h"
 
 #include <algorithm>
+#include <bit>
+#include <cmath>
 
 namespace shale {
 namespace {
@@ -165,44 +167,111 @@ std::string LiteralConv::inside(ValueId id, int64_t c) {
   return fetch(view->inputs[0], c, source("y", 0), source("x", 1), -128);
 }
 
-std::string LiteralConv::byte(const std::string& texel, int64_t lane) const {
-  if (lanes_ == 1) return texel;
-  const std::string word =
-      lanes_ == 4 ? texel : fmt::format("{}.{}", texel, "xyzw"[static_cast<size_t>(lane / 4)]);
-  switch (lane % 4) {
-    case 0: return fmt::format("({} & 255u)", word);
-    case 3: return fmt::format("({} >> 24)", word);
-    default: return fmt::format("(({} >> {}) & 255u)", word, 8 * (lane % 4));
-  }
+std::string LiteralConv::byte(size_t index, int64_t c, int shift) const {
+  std::string word = texel(index, c);
+  const int64_t lane = c % lanes_, left = shift - 8 * (lane % 4);
+  if (lanes_ == 16) word += fmt::format(".{}", "xyzw"[static_cast<size_t>(lane / 4)]);
+  const std::string moved = left > 0   ? fmt::format("({} << {})", word, left)
+                            : left < 0 ? fmt::format("({} >> {})", word, -left)
+                                       : word;
+  // Nothing but the byte is left where it reaches an end of the word.
+  return lanes_ == 1 || left == 24 || left == -24
+             ? moved
+             : fmt::format("({} & {}u)", moved, uint32_t{255} << shift);
+}
+
+std::string LiteralConv::split(const std::string& sum, int shift) {
+  // Adding and taking off 1.5 * 2^52 rounds to an integer, and all of it is exact.
+  return fmt::format(
+      "  precise double {0}_r = {0} * {1} + {2}, {0}_1 = {0}_r - {2}, {0}_0 = {0} - {0}_1 * {3};\n",
+      sum, double_literal(std::ldexp(1.0, -shift)), double_literal(1.5 * std::ldexp(1.0, 52)),
+      double_literal(std::ldexp(1.0, shift)));
+}
+
+std::string LiteralConv::double_literal(double value) {
+  const uint64_t bits = std::bit_cast<uint64_t>(value);
+  return value == std::trunc(value) && std::abs(value) < std::ldexp(1.0, 53)
+             ? fmt::format("{:.1f}lf", value)
+             : fmt::format("packDouble2x32(uvec2({}u, {}u))", bits & 0xffffffffu, bits >> 32);
+}
+
+int64_t LiteralConv::offset(int64_t oc) const {
+  const Shape& taps = weight_shape();
+  const int64_t correction = 128 + input_zero_point();
+  const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
+  int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
+  for (int64_t k = 0; correction != 0 && k < taps[1] * taps[2] * taps[3]; ++k)
+    offset -= correction * weight(oc, k / (taps[2] * taps[3]), k / taps[3] % taps[2], k % taps[3]);
+  return offset;
+}
+
+std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc) const {
+  if (!problem_.proof || problem_.group.nodes.empty()) return std::nullopt;
+  const auto& nodes = problem_.group.nodes;
+  const auto after = std::find_if(nodes.begin(), nodes.end(), [&](NodeId id) {
+    const Node& node = graph_.node(id);
+    return node.op == Op::kRescale && node.inputs[0] == node_.output;
+  });
+  if (after == nodes.end()) return std::nullopt;
+  const Node& node = graph_.node(*after);
+  const auto constant = [&](size_t operand) {
+    const Tensor& tensor = *graph_.value(node.inputs[operand]).constant;
+    return tensor.get(tensor.count() == 1 ? 0 : oc);
+  };
+  if (graph_.value(node.output).type.dtype != DType::kInt8 || node.attrs.flag(Attr::kInputUnsigned) ||
+      node.attrs.flag(Attr::kOutputUnsigned) ||
+      node.attrs.get(Attr::kRoundingMode) != kSingleRound || constant(3) != 0)
+    return std::nullopt;
+  const int64_t multiplier = constant(1), shift = constant(2), zero_point = constant(4),
+                added = offset(oc), low = problem_.proof->min[static_cast<size_t>(oc)],
+                high = problem_.proof->max[static_cast<size_t>(oc)];
+  constexpr int64_t kExact = int64_t{1} << 53, kWord = int64_t{1} << 31;
+  if (shift > 44 || std::max({std::abs(low), std::abs(high), std::abs(added)}) >= kWord)
+    return std::nullopt;
+  // The result times 2^shift, before the shift: all of it an integer that a double holds.
+  const int64_t constant_part =
+      added * multiplier + (int64_t{1} << (shift - 1)) + ((128 + zero_point) << shift);
+  for (const int64_t sum : {low - added, high - added})
+    if (std::abs(sum) >= kExact / std::max<int64_t>(multiplier, 1) ||
+        std::abs(sum * multiplier + constant_part) >= kExact ||
+        std::abs(sum * multiplier + constant_part) >> shift >= kWord)
+      return std::nullopt;
+  if (std::abs(constant_part) >= kExact) return std::nullopt;
+  const double unit = std::ldexp(1.0, -static_cast<int>(shift));
+  return Scale{node.output, static_cast<double>(multiplier) * unit,
+               static_cast<double>(constant_part) * unit};
 }
 
 void LiteralConv::results(std::string& text, int64_t first, int64_t last, const std::string& y,
                           const std::string& x, const std::function<std::string(int64_t oc)>& sum,
-                          const std::string& suffix) {
-  const Shape& taps = weight_shape();
-  const int64_t correction = 128 + input_zero_point();
-  const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
+                          bool doubles, const std::string& suffix) {
   const ValueId result = problem_.group.result;
   const int64_t channels = out()[3];
   // The last tiles of a row or column may reach beyond the result.
   text += fmt::format("  if ({} < {} && {} < {}) {{\n", x, out()[2], y, out()[1]);
   // Int8 results are stored as wide as they lie together: stores cost by their number.
   const bool is_int8 = graph_.value(result).type.dtype == DType::kInt8;
-  const int64_t width = !is_int8 || channels % 4 != 0                             ? 1
-                        : channels % 16 == 0 && first % 16 == 0 && last % 16 == 0 ? 16
-                                                                                  : 4;
+  int64_t width = 1;
+  for (const int64_t wide : {16, 4})
+    if (width == 1 && is_int8 && channels % wide == 0 && first % wide == 0 && last % wide == 0)
+      width = wide;
   std::string packed;
   for (int64_t oc = first; oc < last; ++oc) {
-    int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
-    for (int64_t k = 0; correction != 0 && k < taps[1] * taps[2] * taps[3]; ++k)
-      offset -=
-          correction * weight(oc, k / (taps[2] * taps[3]), k / taps[3] % taps[2], k % taps[3]);
     const std::string own = fmt::format("{}_{}", suffix, oc);
-    text += fmt::format("  int h{} = {} + {};\n", own, sum(oc),
-                        Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(offset))));
-    codegen_.locals()[node_.output] = "h" + own;
     const Position at{{"n", y, x, std::to_string(oc)}, {}};
-    codegen_.epilogue(text, at, own);
+    const std::optional<Scale> scale = doubles ? scale_in_doubles(oc) : std::nullopt;
+    if (scale) {
+      // Above 0 truncation is the floor that the shift means, and below 0 all becomes 0.
+      text += fmt::format("  precise double h{0} = {1} * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n",
+                          own, sum(oc), double_literal(scale->factor),
+                          double_literal(scale->constant));
+      codegen_.locals()[scale->output] = fmt::format("(u{} - 128)", own);
+    } else {
+      text += fmt::format("  int h{} = int({}) + {};\n", own, sum(oc),
+                          Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(offset(oc)))));
+      codegen_.locals()[node_.output] = "h" + own;
+    }
+    codegen_.epilogue(text, at, own, scale ? std::optional(scale->output) : std::nullopt);
     const std::string value = codegen_.load(result, at);
     if (width == 1) {
       text += codegen_.store(result, at, value);
@@ -298,13 +367,28 @@ KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) 
   return source;
 }
 
+void TapMap::finish(Arithmetic own) {
+  arithmetic = own;
+  const std::vector<std::array<int64_t, 2>> one = texels;
+  for (size_t i = 0; i < one.size(); ++i) {
+    taps.push_back({i, i});
+    if (sides() == 1) continue;
+    const std::array<int64_t, 2> right{one[i][0], one[i][1] + step_x};
+    const auto at = std::find(texels.begin(), texels.end(), right);
+    taps[i][1] = static_cast<size_t>(at - texels.begin());
+    if (at == texels.end()) texels.push_back(right);
+  }
+  tile_width *= sides();
+  step_x *= sides();
+}
+
 int64_t TapMap::products(const LiteralConv& conv) const {
   int64_t count = 0;
-  for (int64_t pixel = 0; pixel < tile_height * tile_width; ++pixel)
-    for (size_t texel = 0; texel < texels.size(); ++texel)
+  for (int64_t pixel = 0; pixel < pixels(); ++pixel)
+    for (size_t tap = 0; tap < taps.size(); ++tap)
       for (int64_t oc = 0; oc < conv.out()[3]; ++oc)
         for (int64_t c = 0; c < conv.weight_shape()[3]; ++c)
-          count += weight(pixel, texel, oc, c) != 0;
+          count += weight(pixel, tap, oc, c) != 0;
   return count;
 }
 
@@ -319,20 +403,34 @@ int64_t channels_per_module(const LiteralConv& conv, const TapMap& map, int64_t 
   return fit >= kLiveSums ? fit / kLiveSums * kLiveSums : fit / 4 * 4;
 }
 
+/// Output channels of a loop over the rows, of `channels` in a module.
+int64_t channels_per_loop(int64_t channels) {
+  const int64_t loops = ceil_div(channels, kMostSums);
+  return ceil_div(ceil_div(channels, loops), 4) * 4;  // results make words
+}
+
+/// Pixels whose sums for so many output channels are live together.
+int64_t pixels_per_pass(int64_t channels) { return std::max<int64_t>(kLiveSums / channels, 1); }
+
 class TapEmitter {
  public:
-  TapEmitter(const GroupProblem& problem, const TapMap& map, bool use_float)
-      : conv_(problem), map_(map), float_(use_float) {}
+  TapEmitter(const GroupProblem& problem, const TapMap& map)
+      : conv_(problem),
+        map_(map),
+        pair_(map.arithmetic == Arithmetic::kDoublePair),
+        type_(pair_                                         ? "double"
+              : map.arithmetic == Arithmetic::kFloat32 ? "float"
+                                                       : "int"),
+        point_(pair_ ? ".0lf" : map.arithmetic == Arithmetic::kFloat32 ? ".0" : "") {}
 
   KernelSource module(int64_t first, int64_t last) {
-    const int64_t pixels = map_.tile_height * map_.tile_width;
     std::string body;
-    for (int64_t oc = first; oc < last; oc += kLiveSums) {
-      const int64_t end = std::min(last, oc + kLiveSums);
-      const int64_t together = kLiveSums / (end - oc);
+    const int64_t step = channels_per_loop(last - first);
+    for (int64_t oc = first; oc < last; oc += step) {
+      const int64_t end = std::min(last, oc + step), together = pixels_per_pass(end - oc);
       std::string passes;
-      for (int64_t pixel = 0; pixel < pixels; pixel += together)
-        passes += pass(oc, end, pixel, std::min(pixels, pixel + together));
+      for (int64_t pixel = 0; pixel < map_.pixels(); pixel += together)
+        passes += pass(oc, end, pixel, std::min(map_.pixels(), pixel + together));
       body += conv_.over_rows(map_, passes);
     }
     return conv_.finish(map_, body);
@@ -341,87 +439,96 @@ class TapEmitter {
  private:
   /// Channels [first, last) of the tile's pixels [pixel, end).
   std::string pass(int64_t first, int64_t last, int64_t pixel, int64_t end) {
-    const char* scalar = float_ ? "float" : "int";
-    std::string text = fmt::format("  {{\n  {} v;\n", scalar);
+    std::string text = fmt::format("  {{\n  {} v;\n", type_);
     for (int64_t p = pixel; p < end; ++p)
       for (int64_t oc = first; oc < last; ++oc)
-        text += fmt::format("  {} a{}_{} = {};\n", scalar, p, oc, float_ ? "0.0" : "0");
-    for (size_t i = 0; i < map_.texels.size(); ++i)
+        text += fmt::format("  {} {} = 0{};\n", type_, sum(p, oc), point_);
+    for (size_t i = 0; i < map_.taps.size(); ++i)
       for (int64_t c = 0; c < conv_.weight_shape()[3]; ++c)
         text += products(first, last, pixel, end, i, c);
+    const int64_t width = map_.tile_width / map_.sides();
     for (int64_t p = pixel; p < end; ++p) {
-      const auto at = [](const char* base, int64_t tile, int64_t offset) {
-        return fmt::format("({} * {} + {})", base, tile, offset);
-      };
-      conv_.results(
-          text, first, last, at("row", map_.tile_height, p / map_.tile_width),
-          at("x", map_.tile_width, p % map_.tile_width),
-          [&](int64_t oc) { return fmt::format("int(a{}_{})", p, oc); }, fmt::format("_{}", p));
+      if (pair_)
+        for (int64_t oc = first; oc < last; ++oc)
+          text += LiteralConv::split(sum(p, oc), kPairSpacing);
+      for (int64_t side = 0; side < map_.sides(); ++side)
+        conv_.results(
+            text, first, last, fmt::format("(row * {} + {})", map_.tile_height, p / width),
+            fmt::format("(x * {} + {})", map_.tile_width, side * width + p % width),
+            [&](int64_t oc) { return pair_ ? fmt::format("{}_{}", sum(p, oc), side) : sum(p, oc); },
+            pair_, fmt::format("_{}_{}", side, p));
     }
     return text + "  }\n";
   }
 
-  /// What channel `c` of a texel adds to the sums. One product a statement: the order in which the
+  static std::string sum(int64_t pixel, int64_t oc) { return fmt::format("a{}_{}", pixel, oc); }
+
+  /// What channel `c` of a tap adds to the sums. One product a statement: the order in which the
   /// fewest values are live at once.
-  std::string products(int64_t first, int64_t last, int64_t pixel, int64_t end, size_t texel,
+  std::string products(int64_t first, int64_t last, int64_t pixel, int64_t end, size_t tap,
                        int64_t c) const {
     std::string sums;
     for (int64_t p = pixel; p < end; ++p)
       for (int64_t oc = first; oc < last; ++oc) {
-        const int64_t w = map_.weight(p, texel, oc, c);
+        const int64_t w = map_.weight(p, tap, oc, c);
         if (w != 0)
-          sums += fmt::format("  a{}_{} {}= v * {}{};\n", p, oc, w < 0 ? '-' : '+', std::abs(w),
-                              float_ ? ".0" : "");
+          sums += fmt::format("  {} {}= v * {}{};\n", sum(p, oc), w < 0 ? '-' : '+', std::abs(w),
+                              point_);
       }
     if (sums.empty()) return sums;
-    return fmt::format("  v = {}({});\n", float_ ? "float" : "int",
-                       conv_.byte(conv_.texel(texel, c), c % conv_.lanes())) +
+    const std::array<size_t, 2>& texels = map_.taps[tap];
+    return fmt::format("  v = {}({});\n", type_,
+                       pair_ ? conv_.byte_pair(texels, c, kPairSpacing)
+                             : conv_.byte(texels[0], c)) +
            sums;
   }
 
   LiteralConv conv_;
   const TapMap& map_;
-  bool float_;
+  bool pair_;
+  const char* type_;   ///< of sums
+  const char* point_;  ///< after the digits of a literal of that type
 };
 
 }  // namespace
 
-std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map, bool use_float,
+std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map,
                                     int64_t most_products) {
   const LiteralConv conv(problem);
   const int64_t channels = conv.out()[3], step = channels_per_module(conv, map, most_products);
   std::vector<KernelSource> sources;
   for (int64_t first = 0; first < channels; first += step)
-    sources.push_back(
-        TapEmitter(problem, map, use_float).module(first, std::min(channels, first + step)));
+    sources.push_back(TapEmitter(problem, map).module(first, std::min(channels, first + step)));
   return sources;
 }
 
-WorkTable tap_work(const GroupProblem& problem, const TapMap& map, bool use_float,
-                   int64_t most_products) {
+WorkTable tap_work(const GroupProblem& problem, const TapMap& map, int64_t most_products) {
   const LiteralConv conv(problem);
-  const int64_t channels = conv.out()[3], pixels = map.tile_height * map.tile_width,
+  const int64_t channels = conv.out()[3],
                 step = std::max<int64_t>(channels_per_module(conv, map, most_products), 1);
   const auto [height, width] = conv.tiles(map);
   const double tiles = static_cast<double>(literal_lanes(width) * height * conv.out()[0]);
   WorkTable work{};
   double loops = 0, passes = 0;
   for (int64_t first = 0; first < channels; first += step) {
-    const int64_t last = std::min(channels, first + step);
-    for (int64_t oc = first; oc < last; oc += kLiveSums) {
+    const int64_t last = std::min(channels, first + step), loop = channels_per_loop(last - first);
+    for (int64_t oc = first; oc < last; oc += loop) {
       loops += 1;
-      passes +=
-          static_cast<double>(ceil_div(pixels, kLiveSums / (std::min(last, oc + kLiveSums) - oc)));
+      passes += static_cast<double>(
+          ceil_div(map.pixels(), pixels_per_pass(std::min(last, oc + loop) - oc)));
     }
     work[Work::kDispatch] += 1;
   }
   work[Work::kCode] = static_cast<double>(map.products(conv));
-  work[use_float ? Work::kFloatProduct : Work::kIntProduct] = work[Work::kCode] * tiles;
+  const Work product = map.arithmetic == Arithmetic::kDoublePair ? Work::kPairProduct
+                       : map.arithmetic == Arithmetic::kFloat32  ? Work::kFloatProduct
+                                                                 : Work::kIntProduct;
+  work[product] = work[Work::kCode] * tiles;
   work[Work::kFetch] = tiles * loops * conv.fetches(map);
   work[Work::kUnpack] =
       tiles * passes *
-      static_cast<double>(static_cast<int64_t>(map.texels.size()) * conv.weight_shape()[3]);
-  work[Work::kResult] = tiles * static_cast<double>(pixels * channels);
+      static_cast<double>(static_cast<int64_t>(map.taps.size()) * conv.weight_shape()[3]);
+  work[Work::kResult] = tiles * static_cast<double>(map.tile_height * map.tile_width * channels);
   work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
   return work;
 }

@@ -14,6 +14,8 @@ namespace shale {
 
 /// Sums that stay in registers: about what CPU drivers have vector registers for.
 inline constexpr int64_t kLiveSums = 16;
+/// Most of them in a pass over the channels, where equal passes are fewer so.
+inline constexpr int64_t kMostSums = 20;
 /// Float32 holds integers below this exactly.
 inline constexpr int64_t kFloatExact = int64_t{1} << 24;
 /// Most invocations of a workgroup, along x.
@@ -62,15 +64,25 @@ class LiteralConv {
   /// bytes u; outside the value each is u of the code `outside`.
   std::string fetch(ValueId id, int64_t c, const std::string& y, const std::string& x,
                     int64_t outside);
-  /// Expression (uint) of one channel of the texel in variable `texel`.
-  std::string byte(const std::string& texel, int64_t lane) const;
+  /// Expression (uint) of channel `c` of texel `index` of a Tiling, shifted left by `shift` (0 or 8 to
+  /// 24).
+  std::string byte(size_t index, int64_t c, int shift = 0) const;
+  /// The sum of channel `c` of two texels, the second one shifted left by `shift`.
+  std::string byte_pair(const std::array<size_t, 2>& texels, int64_t c, int shift) const {
+    return fmt::format("({} | {})", byte(texels[0], c), byte(texels[1], c, shift));
+  }
+  /// Statements that take the double in variable `sum`, a + 2^shift b with |a| < 2^(shift-1), apart
+  /// into doubles `sum`_0 = a and `sum`_1 = b.
+  static std::string split(const std::string& sum, int shift);
+  /// A GLSL literal of exactly this value.
+  static std::string double_literal(double value);
 
   /// Appends bias, fused elementwise nodes and stores for channels [first, last) of the result at
-  /// row y, column x, guarded where (y, x) may lie outside. `sum` gives the int expression of the
-  /// sum of w * u; `suffix` keeps the locals of unrolled copies apart.
+  /// row y, column x, guarded where (y, x) may lie outside. `sum` gives the expression of the sum of
+  /// w * u, of a type that holds it, double if `doubles`; `suffix` keeps the locals of unrolled copies apart.
   void results(std::string& text, int64_t first, int64_t last, const std::string& y,
                const std::string& x, const std::function<std::string(int64_t oc)>& sum,
-               const std::string& suffix);
+               bool doubles, const std::string& suffix);
 
   /// Variable that holds the channels around `c` of texel `index` of a Tiling.
   std::string texel(size_t index, int64_t c) const {
@@ -92,6 +104,16 @@ class LiteralConv {
   bool fits_grid(const Tiling& tiling) const;
 
  private:
+  /// A RESCALE of sums as u = floor(sum * factor + constant), exact in doubles, where u = q + 128 is to
+  /// be limited to bytes.
+  struct Scale {
+    ValueId output;
+    double factor, constant;
+  };
+  /// Nothing if the group has no such node, or a product that a double may not hold.
+  std::optional<Scale> scale_in_doubles(int64_t oc) const;
+  /// Added to the sum of w * u to make the accumulator.
+  int64_t offset(int64_t oc) const;
   std::vector<int64_t> leaf_channels(ValueId id) const;
   std::string inside(ValueId id, int64_t c);
 
@@ -108,23 +130,40 @@ class LiteralConv {
 /// Invocations along x that run, idle lanes included: they come in eights.
 int64_t literal_lanes(int64_t grid_x);
 
-/// A convolution as sums over texels of one value:
-///   sum(pixel, oc) = sum over texels and c of weight(pixel, texel, oc, c) * u(texel, c).
-struct TapMap : Tiling {
-  int64_t products_per_channel = 0;  ///< with all weights of an output channel other than 0
-  std::function<int64_t(int64_t pixel, size_t texel, int64_t oc, int64_t c)> weight;
+/// What sums are made in.
+enum class Arithmetic {
+  kInt32,       ///< any sums: TOSA's legal results wrap back into range
+  kFloat32,     ///< partial sums below 2^24 in magnitude
+  kDoublePair,  ///< two tiles next to each other at once, as a + 2^kPairSpacing b in doubles
+};
+inline constexpr int kPairSpacing = 24;
+/// Sums of each tile have to stay below this in magnitude.
+inline constexpr int64_t kPairExact = int64_t{1} << (kPairSpacing - 1);
 
+/// A convolution as sums over texels of one value:
+///   sum(pixel, oc) = sum over taps and c of weight(pixel, tap, oc, c) * u(texel of the tap, c).
+/// The Tiling is of one invocation: of two tiles of the map with kDoublePair, of one without.
+struct TapMap : Tiling {
+  Arithmetic arithmetic = Arithmetic::kFloat32;
+  /// For each tap its texel; with kDoublePair that of the tile to the right, too.
+  std::vector<std::array<size_t, 2>> taps;
+  int64_t products_per_channel = 0;  ///< with all weights of an output channel other than 0
+  std::function<int64_t(int64_t pixel, size_t tap, int64_t oc, int64_t c)> weight;
+
+  /// Makes the taps from the texels of one tile and, for kDoublePair, pairs of tiles.
+  void finish(Arithmetic own);
+  int64_t sides() const { return arithmetic == Arithmetic::kDoublePair ? 2 : 1; }
+  /// Pixels of a tile of the map.
+  int64_t pixels() const { return tile_height * tile_width / sides(); }
   /// Products with weights that are not 0.
   int64_t products(const LiteralConv& conv) const;
 };
 
-/// Code for the map, in float32 or in int32 arithmetic, as few modules as `most_products` (in one
-/// module) allows.
-std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map, bool use_float,
+/// Code for the map, as few modules as `most_products` (in one module) allows.
+std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map,
                                     int64_t most_products);
 /// What that code does.
-WorkTable tap_work(const GroupProblem& problem, const TapMap& map, bool use_float,
-                   int64_t most_products);
+WorkTable tap_work(const GroupProblem& problem, const TapMap& map, int64_t most_products);
 /// Number of modules of emit_taps; nothing if even a part of the channels is too much for one, or
 /// the grid too large to be dispatched.
 std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,

@@ -86,6 +86,7 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
         case spv::CapabilityInt8: needs.features.add(Feature::kInt8); break;
         case spv::CapabilityInt16: needs.features.add(Feature::kInt16); break;
         case spv::CapabilityInt64: needs.features.add(Feature::kInt64); break;
+        case spv::CapabilityFloat64: needs.features.add(Feature::kFloat64); break;
         case spv::CapabilityFloat16: needs.features.add(Feature::kFloat16); break;
         case spv::CapabilityStorageBuffer8BitAccess:
           needs.features.add(Feature::kStorageBuffer8);

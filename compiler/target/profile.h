@@ -16,7 +16,7 @@ enum class Work : uint8_t {
   kCode,             ///< products in the code: fetched anew by every dispatch
   kFloatProduct,     ///< float32 multiply and add by a literal, of all invocations; so below
   kIntProduct,       ///< the same in int32
-  kWinogradProduct,  ///< the same between the transforms of Winograd's form
+  kPairProduct,  ///< the same in float64 of two packed tiles
   kTransform,        ///< an element of those transforms
   kFetch,            ///< a texel
   kUnpack,           ///< a channel of a texel as a number

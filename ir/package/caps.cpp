@@ -16,6 +16,7 @@ constexpr std::array<const char*, kFeatureCount> kFeatureNames{
     "shaderFloat16",
     "shaderIntegerDotProduct",
     "cooperativeMatrix",
+    "shaderFloat64",
 };
 
 }  // namespace

@@ -19,8 +19,9 @@ enum class Feature : uint32_t {
   /// VK_KHR_cooperative_matrix with products of 16x32 by 32x16 int8 into int32, in subgroups of 32;
   /// and vulkanMemoryModel, which modules with such products have to use
   kCooperativeMatrix = 7,
+  kFloat64 = 8,  ///< shaderFloat64
 };
-inline constexpr uint32_t kFeatureCount = 8;
+inline constexpr uint32_t kFeatureCount = 9;
 
 /// Feature as written in messages and by `shale doctor`: "shaderInt8".
 const char* feature_name(Feature feature);

@@ -43,6 +43,7 @@ constexpr FeatureMember kFeatureMembers[] = {
     {Feature::kInt64, [](Features& f) -> VkBool32& { return f.v10.features.shaderInt64; }},
     {Feature::kFloat16, [](Features& f) -> VkBool32& { return f.v12.shaderFloat16; }},
     {Feature::kDotProduct8, [](Features& f) -> VkBool32& { return f.v13.shaderIntegerDotProduct; }},
+    {Feature::kFloat64, [](Features& f) -> VkBool32& { return f.v10.features.shaderFloat64; }},
 };
 
 std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {

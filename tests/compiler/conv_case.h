@@ -20,6 +20,8 @@ enum class Epilogue {
   kTable,       ///< per channel, then a clamp and a table
   kResidual,    ///< rescaled to int32, added to a second graph input, rescaled to int8
   kInt16,       ///< rescaled to int16
+  kQuarters,    ///< a fourth of the sum, many of them halfway between two results
+  kQuartersDoubleRound,
 };
 
 /// One conv2d over int8 in NHWC; extents are those of the convolution's input.
@@ -34,6 +36,7 @@ struct ConvCase {
   Source source = Source::kPlain;
   Epilogue epilogue = Epilogue::kPerChannel;
   bool one_bias = false;
+  int64_t largest_bias = 20000;
   int64_t weight_min = -128, weight_max = 127;
   int64_t zero_weights = 0;  ///< about how many of a hundred weights are 0
 
@@ -59,7 +62,7 @@ struct ConvCase {
       if (draw(0, 99) < zero_weights) weights.set(i, 0);
     const ValueId weight = g.add_constant("w", std::move(weights));
     const ValueId bias =
-        g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -20000, 20000));
+        g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -largest_bias, largest_bias));
     const ValueId zp = scalar("zp", DType::kInt8, input_zp),
                   wzp = scalar("wzp", DType::kInt8, weight_zp);
     Attrs attrs;
@@ -73,16 +76,18 @@ struct ConvCase {
         g.add_node(Op::kConv2d, attrs, {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
 
     const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift,
-                             int64_t high_shift, int64_t out_zp) {
+                             int64_t high_shift, int64_t out_zp, int64_t least_multiplier = 1 << 30,
+                             int64_t most_multiplier = INT32_MAX,
+                             int64_t rounding = kSingleRound) {
       const int64_t channels = per_channel ? oc : 1;
-      const ValueId m = g.add_constant("m", tensor(DType::kInt32, {channels}, 1 << 30, INT32_MAX));
+      const ValueId m = g.add_constant("m", tensor(DType::kInt32, {channels}, least_multiplier, most_multiplier));
       const ValueId s =
           g.add_constant("s", tensor(DType::kInt8, {channels}, low_shift, high_shift));
       const DType in = g.value(from).type.dtype;
       const ValueId in_zero = scalar("z", in, 0), out_zero = scalar("oz", to, out_zp);
       Attrs a;
       a.set(Attr::kScale32, 1)
-          .set(Attr::kRoundingMode, kSingleRound)
+          .set(Attr::kRoundingMode, rounding)
           .set(Attr::kPerChannel, per_channel);
       a.set(Attr::kInputUnsigned, 0).set(Attr::kOutputUnsigned, 0);
       return g.add_node(Op::kRescale, a, {from, m, s, in_zero, out_zero}, "q", {to, out});
@@ -113,6 +118,12 @@ struct ConvCase {
         break;
       }
       case Epilogue::kInt16: last = rescale(last, DType::kInt16, true, 33, 36, 0); break;
+      case Epilogue::kQuarters:
+        last = rescale(last, DType::kInt8, true, 32, 32, -7, 1 << 30, 1 << 30);
+        break;
+      case Epilogue::kQuartersDoubleRound:
+        last = rescale(last, DType::kInt8, true, 32, 32, -7, 1 << 30, 1 << 30, kDoubleRound);
+        break;
     }
     g.outputs = {last};
     return g;
@@ -278,6 +289,17 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .input_zp = 40,
                    .source = Source::kUpsample,
                    .epilogue = Epilogue::kTable});
+  // Rounding, above and below 0.
+  for (const bool double_round : {false, true})
+    cases.push_back(
+        {.name = double_round ? "quarters_double_round" : "quarters",
+         .input_zp = 3,
+         .epilogue = double_round ? Epilogue::kQuartersDoubleRound : Epilogue::kQuarters,
+         .largest_bias = 100,
+         .weight_min = -1,
+         .weight_max = 1});
+  // A bias that leaves no room for the scaled sum in a double.
+  cases.push_back({.name = "large_bias", .oc = 17, .largest_bias = 50000000});
   // Fetches of 16 channels, and stores of as many.
   cases.push_back({.name = "ic16_oc32", .h = 6, .w = 66, .ic = 16, .oc = 32, .input_zp = -128});
   cases.push_back({.name = "ic32_of_concat",
@@ -359,6 +381,18 @@ inline std::vector<ConvCase> edge_conv_cases() {
   // More output channels than a module holds; zeros keep the modules small.
   cases.push_back(
       {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
+  // Products that leave the room of one tile of two in a double, but not float32.
+  cases.push_back({.name = "beyond_pair",
+                   .h = 1,
+                   .w = 2,
+                   .ic = 300,
+                   .oc = 1,
+                   .kh = 1,
+                   .kw = 1,
+                   .pad = {0, 0, 0, 0},
+                   .epilogue = Epilogue::kNone,
+                   .weight_min = -128,
+                   .weight_max = -128});
   // Products that leave the integers that float32 holds.
   cases.push_back({.name = "beyond_float",
                    .h = 1,

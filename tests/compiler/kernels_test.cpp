@@ -53,13 +53,14 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
     std::vector<std::string> taken;
     for (const Dispatch& dispatch : compiled.package.variants[0].segments[0].dispatches)
       taken.push_back(dispatch.kernel);
-    for (uint64_t seed = 1; seed <= 2; ++seed) {
+    for (uint64_t seed = 1; seed <= 4; ++seed) {
       std::vector<Tensor> inputs = random_inputs(graph, seed);
-      // The second time the inputs are at the lower limit: the largest magnitudes.
-      if (seed == 2)
-        for (Tensor& input : inputs)
-          for (int64_t i = 0; i < input.count(); ++i)
-            input.set(i, dtype_range(input.type.dtype).min);
+      // Then at the limits, all at one or each at one of them: the largest magnitudes.
+      for (Tensor& input : inputs) {
+        const IntRange range = dtype_range(input.type.dtype);
+        for (int64_t i = 0; seed > 1 && i < input.count(); ++i)
+          input.set(i, seed == 2 || (seed == 4 && input.get(i) < 0) ? range.min : range.max);
+      }
       const std::vector<Tensor> expected = must(interpret(graph, inputs));
       const std::vector<Tensor> found = must(run_network(*device_, compiled.package, inputs));
       for (size_t i = 0; i < expected.size(); ++i)
@@ -81,6 +82,7 @@ bool takes(const std::string& kernel, const ConvCase& row) {
   if (kernel == "generic" || kernel == "conv2d_s8_i32") return true;
   if (kernel == "conv2d_s8_dot8") return true;
   if (row.name == "beyond_float") return false;
+  if (row.name == "beyond_pair") return kernel == "conv2d_s8_f32exact";
   if (kernel == "conv2d_s8_phase") return row.source == Source::kUpsample && is_plain;
   if (kernel == "conv2d_s8_winograd")
     return is_plain && row.kh == 3 && row.kw == 3 && row.name != "beyond_winograd" &&

@@ -24,7 +24,7 @@ std::string selected(Graph graph, std::string_view target = "lavapipe",
   return "no head";
 }
 
-TEST(Select, TakesFloatForProvenConvolutionsOnLavapipe) {
+TEST(Select, TakesDoublesForProvenConvolutionsOnLavapipe) {
   for (ConvCase row : edge_conv_cases()) {
     // Pictures of a few pixels are not worth code of their own.
     if (row.stride_y > 8 || row.stride_x > 8) continue;
@@ -33,8 +33,10 @@ TEST(Select, TakesFloatForProvenConvolutionsOnLavapipe) {
     const std::string kernel = selected(row.graph());
     if (row.name == "beyond_float") {
       EXPECT_EQ(kernel, "conv2d_s8_i32");
+    } else if (row.name == "beyond_pair") {
+      EXPECT_EQ(kernel, "conv2d_s8_f32exact");
     } else {
-      EXPECT_TRUE(kernel == "conv2d_s8_f32exact" || kernel == "conv2d_s8_winograd" ||
+      EXPECT_TRUE(kernel == "conv2d_s8_f64pair" || kernel == "conv2d_s8_winograd" ||
                   kernel == "conv2d_s8_phase")
           << row.name << ": " << kernel;
     }
@@ -58,7 +60,7 @@ TEST(Select, TakesWinogradWhereItsProductsOutweighItsTransforms) {
   EXPECT_EQ(kernel_for(32, 32, 272, 480), "conv2d_s8_winograd");
   EXPECT_EQ(kernel_for(48, 16, 272, 480), "conv2d_s8_winograd");
   EXPECT_EQ(kernel_for(16, 16, 272, 480), "conv2d_s8_winograd");
-  EXPECT_EQ(kernel_for(64, 64, 68, 120), "conv2d_s8_f32exact");  // the driver's compile time
+  EXPECT_EQ(kernel_for(64, 64, 68, 120), "conv2d_s8_f64pair");  // the driver's compile time
   EXPECT_EQ(kernel_for(32, 16, 272, 480, Source::kUpsample), "conv2d_s8_phase");
 }
 
@@ -98,11 +100,13 @@ TEST(Select, PrefersMatricesWhereTheyAreFull) {
 }
 
 TEST(Select, ObeysTheListOfAllowedFamilies) {
-  const Graph graph = ConvCase{.name = "plain"}.graph();
+  const Graph graph = ConvCase{.name = "plain", .w = 64}.graph();
   EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32"}), "conv2d_s8_i32");
   EXPECT_EQ(selected(graph, "lavapipe", {"generic"}), "generic");
   EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_i32", "conv2d_s8_f32exact"}),
             "conv2d_s8_f32exact");
+  EXPECT_EQ(selected(graph, "lavapipe", {"conv2d_s8_f32exact", "conv2d_s8_f64pair"}),
+            "conv2d_s8_f64pair");
   // The generic kernel serves where no allowed family can.
   EXPECT_EQ(selected(graph, "generic-gpu", {"conv2d_s8_i32"}), "generic");
 }
@@ -177,13 +181,13 @@ std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc,
 }
 
 TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {
-  // With 16 channels an invocation has one pixel.
   EXPECT_EQ(kernel_for_shape(1, 65535, 4, 16), "conv2d_s8_f32exact");
   EXPECT_EQ(kernel_for_shape(1, 65536, 4, 16), "generic");  // rows are workgroups
   EXPECT_EQ(kernel_for_shape(65536, 1, 4, 16), "generic");
-  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64, 16), "conv2d_s8_f32exact");
-  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 64 + 1, 16), "generic");
-  EXPECT_EQ(kernel_for_shape(1, 8192, 16384, 1), "conv2d_s8_f32exact");  // 2^27 texels
+  // With 16 channels an invocation has two pixels side by side.
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 128, 16), "conv2d_s8_f64pair");
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 128 + 1, 16), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16384, 1), "conv2d_s8_f64pair");  // 2^27 texels
   EXPECT_EQ(kernel_for_shape(1, 8192, 16385, 1), "generic");
 }
 
