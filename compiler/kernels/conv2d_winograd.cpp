@@ -6,14 +6,15 @@
 //   y = A^T [sum over channels of U * V, position by position] A
 // a pixel takes 4 products a channel in place of 9. All of it is linear in the texels d, so it is
 // done on P = d + 2^22 d', where d' belongs to the second tile: P and V are exact in 32-bit integers,
-// the products and their sums in doubles, which hold multiples of 1/4 below 2^51. At the end y + 2^22 y'
-// is taken apart, for which y has to lie within 2^21. Both are proven here from the actual weights.
+// the products and their sums in doubles, which hold multiples of 1/4 below 2^51. At the end
+// y + 2^22 y' is taken apart, for which y has to lie in a range of 2^22; where it may not, the input
+// channels are summed up in parts. All is proven here from the actual weights.
 // Source: Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2015; packing and
 // proof are ours, shown in tests/compiler/kernels_test.
 //
-// Sums over the positions run on without a new start, and the output transform takes differences:
-// then there is one order for all products of an output channel, and the driver's scheduler cannot
-// begin all positions at once and spill what it began.
+// Two things in the code are there for the driver's compiler, which would keep too many values alive:
+// each position is a loop that is left at once, so that its scheduler does not begin all positions
+// together, and each pass adds a zero of its own, so that values are made again and not kept.
 #include <algorithm>
 
 #include "compiler/kernels/literal_conv.h"
@@ -23,15 +24,27 @@ namespace {
 
 constexpr int kBt[4][4] = {{1, 0, -1, 0}, {0, 1, 1, 0}, {0, -1, 1, 0}, {0, 1, 0, -1}};
 constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, 2}};
+/// The output transform of output channel {0}: what is done with the sums m of position j of a row,
+/// z0 = m0 + m1 + m2 and z1 = m1 - m2 - m3, each times {1}, and with those of row i.
+constexpr const char* kRow[4] = {
+    "  z0_{0} = m{0} * {1}lf;\n", "  m{0} *= {1}lf;\n  z0_{0} += m{0};\n  z1_{0} = m{0};\n",
+    "  m{0} *= {1}lf;\n  z0_{0} += m{0};\n  z1_{0} -= m{0};\n", "  z1_{0} -= m{0} * {1}lf;\n"};
+constexpr const char* kColumn[4] = {
+    "  y0_{0} = z0_{0};\n  y1_{0} = z1_{0};\n",
+    "  y0_{0} += z0_{0};\n  y1_{0} += z1_{0};\n  y2_{0} = z0_{0};\n  y3_{0} = z1_{0};\n",
+    "  y0_{0} += z0_{0};\n  y1_{0} += z1_{0};\n  y2_{0} -= z0_{0};\n  y3_{0} -= z1_{0};\n",
+    "  y2_{0} -= z0_{0};\n  y3_{0} -= z1_{0};\n"};
 /// Bits between the two tiles: V of the second one, up to 1020, ends at bit 31.
 constexpr int kSpacing = 22;
+/// Both tiles' share of a number that is the same in both.
+constexpr int64_t kBoth = (int64_t{1} << kSpacing) + 1;
+constexpr int64_t kMostParts = 4;
 /// Most products in a module: bounds the driver's compile time.
 constexpr int64_t kProducts = 32768;
 
 class Winograd {
  public:
-  explicit Winograd(const GroupProblem& problem)
-      : problem_(problem), conv_(problem) {
+  explicit Winograd(const GroupProblem& problem) : conv_(problem), parts_(find_parts()) {
     tiling_.source = conv_.node().inputs[0];
     tiling_.outside = conv_.input_zero_point();
     tiling_.tile_height = tiling_.step_y = 2;
@@ -66,7 +79,9 @@ class Winograd {
     work[Work::kCode] = static_cast<double>(products());
     work[Work::kPairProduct] = tiles * static_cast<double>(products());
     // Each pass makes its 16 values a channel anew; an output channel adds 16 sums to 4 results.
-    work[Work::kTransform] = tiles * static_cast<double>(16 * (in_channels * passes() + out[3]));
+    work[Work::kTransform] =
+        tiles *
+        static_cast<double>(16 * (in_channels * passes() + out[3] * std::max<int64_t>(parts_, 1)));
     work[Work::kFetch] = tiles * conv_.fetches(tiling_);
     work[Work::kResult] = tiles * static_cast<double>(8 * out[3]);
     return work;
@@ -74,18 +89,15 @@ class Winograd {
 
   /// Results can be taken apart, and no sum on the way reaches what a double holds.
   bool is_exact() const {
-    if (!problem_.proof) return false;
+    if (parts_ == 0) return false;
     for (int64_t oc = 0; oc < conv_.weight_shape()[0]; ++oc) {
-      if (problem_.proof->magnitude[static_cast<size_t>(oc)] >= int64_t{1} << (kSpacing - 1))
-        return false;
-      // Largest running sum of one tile, times four as the weights are; the output transform takes
-      // less than four of them together at any time.
+      // Largest sum of one tile over all positions, times four as the weights are.
       int64_t bound = 0;
       for (size_t i = 0; i < 4; ++i)
         for (size_t j = 0; j < 4; ++j)
           for (int64_t c = 0; c < conv_.weight_shape()[3]; ++c)
             bound += std::abs(transformed(oc, i, j, c)) * (i == 1 && j == 1 ? 1020 : 510);
-      if (4 * bound >= int64_t{1} << (53 - kSpacing - 1)) return false;
+      if (bound >= (int64_t{1} << 53) / (2 * kBoth)) return false;
     }
     return true;
   }
@@ -103,6 +115,39 @@ class Winograd {
  private:
   static constexpr size_t kColumns = 6;  ///< of texels under two tiles
 
+  /// What sums of w * u over input channels [from, to) can be.
+  IntRange range(int64_t oc, int64_t from, int64_t to) const {
+    IntRange sums{0, 0};
+    for (int64_t ky = 0; ky < 3; ++ky)
+      for (int64_t kx = 0; kx < 3; ++kx)
+        for (int64_t c = from; c < to; ++c) {
+          const int64_t w = conv_.weight(oc, ky, kx, c);
+          (w > 0 ? sums.max : sums.min) += 255 * w;
+        }
+    return sums;
+  }
+  static int64_t middle(const IntRange& sums) { return (sums.min + sums.max) / 2; }
+
+  /// The first input channel of a part.
+  int64_t start(int64_t part, int64_t parts) const {
+    return conv_.weight_shape()[3] * part / parts;
+  }
+
+  /// The fewest parts whose sums can be taken apart when they are brought around 0; 0 if too many.
+  int64_t find_parts() const {
+    const auto fit = [&](int64_t parts) {
+      for (int64_t oc = 0; oc < conv_.weight_shape()[0]; ++oc)
+        for (int64_t part = 0; part < parts; ++part) {
+          const IntRange sums = range(oc, start(part, parts), start(part + 1, parts));
+          if (sums.max - sums.min >= (int64_t{1} << kSpacing) - 2) return false;
+        }
+      return true;
+    };
+    for (int64_t parts = 1; parts <= kMostParts; ++parts)
+      if (fit(parts)) return parts;
+    return 0;
+  }
+
   /// Four times U.
   int64_t transformed(int64_t oc, size_t i, size_t j, int64_t c) const {
     int64_t sum = 0;
@@ -112,94 +157,109 @@ class Winograd {
     return sum;
   }
 
+  /// What all of 4 U at a position are multiples of. The products leave it out: fewer different
+  /// weights are fewer constants in the cache.
+  static int multiple(size_t i, size_t j) { return (i % 3 == 0 ? 2 : 1) * (j % 3 == 0 ? 2 : 1); }
+
   /// Sum of terms {0} with the signs of a row of B^T.
   template <typename Term>
   static std::string combine(const int (&signs)[4], const Term& term) {
     std::string plus, minus;
     for (size_t k = 0; k < 4; ++k)
-      if (signs[k] > 0) plus += (plus.empty() ? "" : " + ") + term(k);
-      else if (signs[k] < 0) minus += " - " + term(k);
+      if (signs[k] > 0)
+        plus += (plus.empty() ? "" : " + ") + term(k);
+      else if (signs[k] < 0)
+        minus += " - " + term(k);
     return "(" + plus + minus + ")";
   }
 
-  /// Output channels [first, last): position by position, the sums over the input channels, then
-  /// their share in the four outputs.
+  /// Output channels [first, last).
   std::string pass(int64_t first, int64_t last) {
-    const int64_t channels = conv_.weight_shape()[3];
+    std::string text = fmt::format("  {{\n  uint zero = uint(x >= {});\n", INT32_MAX - first);
+    for (int64_t oc = first; oc < last; ++oc)
+      for (int pixel = 0; pixel < 4; ++pixel)
+        text += fmt::format("  double s{0}_{1}_0, s{0}_{1}_1;\n", pixel, oc);
+    std::vector<int64_t> less(static_cast<size_t>(last));
+    for (int64_t part = 0; part < parts_; ++part) text += sums(first, last, part, less);
+    for (int64_t pixel = 0; pixel < 4; ++pixel)
+      for (int64_t side = 0; side < 2; ++side)
+        conv_.results(
+            text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
+            fmt::format("(x * 4 + {})", 2 * side + pixel % 2),
+            {.expression = [&](int64_t oc) { return fmt::format("s{}_{}_{}", pixel, oc, side); },
+             .doubles = true,
+             .less = less},
+            fmt::format("_{}_{}", side, pixel));
+    return text + "  }\n";
+  }
+
+  /// The share of a part of the input channels in the pass's sums; `less` is what they lack.
+  std::string sums(int64_t first, int64_t last, int64_t part, std::vector<int64_t>& less) const {
     std::string text = "  {\n  double v;\n";
+    const auto each = [&](auto&& line) {
+      for (int64_t oc = first; oc < last; ++oc) text += line(oc);
+    };
+    const int64_t from = start(part, parts_), to = start(part + 1, parts_);
     const auto packed = [](size_t row, size_t column, int64_t c) {
       return fmt::format("p{}_{}_{}", row, column, c);
     };
     for (size_t row = 0; row < 4; ++row)
       for (size_t column = 0; column < 4; ++column)
-        for (int64_t c = 0; c < channels; ++c) {
+        for (int64_t c = from; c < to; ++c) {
           const size_t texel = kColumns * row + column;
           text += fmt::format("  uint {} = {};\n", packed(row, column, c),
                               conv_.byte_pair({texel, texel + 2}, c, kSpacing));
         }
-    const auto each = [&](auto&& line) {
-      for (int64_t oc = first; oc < last; ++oc) text += line(oc);
-    };
     each([](int64_t oc) {
-      std::string lines = fmt::format("  double m{0}, z0_{0}, z1_{0};\n", oc);
-      for (int pixel = 0; pixel < 4; ++pixel) lines += fmt::format("  double y{}_{};\n", pixel, oc);
-      return lines;
+      return fmt::format("  double m{0}, z0_{0}, z1_{0}, y0_{0}, y1_{0}, y2_{0}, y3_{0};\n", oc);
     });
     for (size_t i = 0; i < 4; ++i) {
       for (size_t j = 0; j < 4; ++j) {
         text += "  for (;;) {\n";
-        each([](int64_t oc) { return fmt::format("  m{0} = 0.0lf;\n", oc); });
-        for (int64_t c = 0; c < channels; ++c) {
-          const std::string value = combine(kBt[i], [&](size_t row) {
-            return combine(kBt[j], [&](size_t column) { return packed(row, column, c); });
-          });
-          // Where all signs are plus the value may reach bit 31.
-          text += fmt::format("  v = double({}({}));\n", i == 1 && j == 1 ? "" : "int", value);
-          each([&](int64_t oc) {
-            const int64_t u = transformed(oc, i, j, c);
-            return u == 0 ? std::string()
-                          : fmt::format("  m{} {}= v * {:.2f}lf;\n", oc, u < 0 ? '-' : '+',
-                                        0.25 * static_cast<double>(std::abs(u)));
-          });
-        }
+        each([](int64_t oc) { return fmt::format("  m{} = 0.0lf;\n", oc); });
+        for (int64_t c = from; c < to; ++c) text += products(first, last, i, j, c, packed);
         text += "  if (x >= 0) break;\n  }\n";
-        // Of a row of positions M: z0 = M0 + M1 + M2, z1 = M1 - M2 - M3.
         each([&](int64_t oc) {
-          switch (j) {
-            case 0: return fmt::format("  z0_{0} = m{0};\n", oc);
-            case 1: return fmt::format("  z0_{0} += m{0};\n  z1_{0} = m{0};\n", oc);
-            case 2: return fmt::format("  z0_{0} += m{0};\n  z1_{0} -= m{0};\n", oc);
-            default: return fmt::format("  z1_{0} -= m{0};\n", oc);
-          }
+          return fmt::format(fmt::runtime(kRow[j]), oc,
+                             fmt::format("{:.2f}", 0.25 * multiple(i, j)));
         });
       }
+      each([&](int64_t oc) { return fmt::format(fmt::runtime(kColumn[i]), oc); });
+    }
+    for (int pixel = 0; pixel < 4; ++pixel)
       each([&](int64_t oc) {
-        std::string lines;
-        for (int n = 0; n < 2; ++n) {
-          if (i == 0) lines += fmt::format("  y{0}_{1} = z{0}_{1};\n", n, oc);
-          if (i == 1) lines += fmt::format("  y{0}_{1} += z{0}_{1};\n  y{2}_{1} = z{0}_{1};\n", n, oc, n + 2);
-          if (i == 2) lines += fmt::format("  y{0}_{1} += z{0}_{1};\n  y{2}_{1} -= z{0}_{1};\n", n, oc, n + 2);
-          if (i == 3) lines += fmt::format("  y{2}_{1} -= z{0}_{1};\n", n, oc, n + 2);
-        }
-        return lines;
+        const int64_t centre = middle(range(oc, from, to));
+        if (pixel == 0) less[static_cast<size_t>(oc)] += centre;
+        return fmt::format("  y{}_{} -= {}.0lf;\n", pixel, oc, centre * kBoth) +
+               LiteralConv::split(fmt::format("y{}_{}", pixel, oc), kSpacing) +
+               fmt::format("  s{1}_{2}_0 {0}= y{1}_{2}_0;\n  s{1}_{2}_1 {0}= y{1}_{2}_1;\n",
+                           part > 0 ? "+" : "", pixel, oc);
       });
-    }
-    for (int64_t pixel = 0; pixel < 4; ++pixel) {
-      each([&](int64_t oc) { return conv_.split(fmt::format("y{}_{}", pixel, oc), kSpacing); });
-      for (int64_t side = 0; side < 2; ++side)
-        conv_.results(
-            text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
-            fmt::format("(x * 4 + {})", 2 * side + pixel % 2),
-            [&](int64_t oc) {
-              return fmt::format("y{}_{}_{}", pixel, oc, side);
-            },
-            true, fmt::format("_{}_{}", side, pixel));
-    }
     return text + "  }\n";
   }
 
-  const GroupProblem& problem_;
+  /// What input channel `c` adds to the sums at position (i, j).
+  template <typename Packed>
+  std::string products(int64_t first, int64_t last, size_t i, size_t j, int64_t c,
+                       const Packed& packed) const {
+    std::string sums;
+    for (int64_t oc = first; oc < last; ++oc) {
+      const int64_t u = transformed(oc, i, j, c) / multiple(i, j);
+      if (u != 0)
+        sums += fmt::format("  m{} {}= v * {}.0lf;\n", oc, u < 0 ? '-' : '+', std::abs(u));
+    }
+    if (sums.empty()) return sums;
+    const std::string value = combine(kBt[i], [&](size_t row) {
+      return combine(kBt[j], [&](size_t column) { return packed(row, column, c); });
+    });
+    // Where all signs are plus the value may reach bit 31.
+    return fmt::format("  v = double({}({}{}));\n", i == 1 && j == 1 ? "" : "int", value,
+                       first > 0 ? " + zero" : "") +
+           sums;
+  }
+
   LiteralConv conv_;
+  int64_t parts_;  ///< of the input channels, to be summed up apart
   Tiling tiling_;
 };
 

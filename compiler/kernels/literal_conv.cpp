@@ -205,7 +205,7 @@ int64_t LiteralConv::offset(int64_t oc) const {
   return offset;
 }
 
-std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc) const {
+std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc, int64_t added) const {
   if (!problem_.proof || problem_.group.nodes.empty()) return std::nullopt;
   const auto& nodes = problem_.group.nodes;
   const auto after = std::find_if(nodes.begin(), nodes.end(), [&](NodeId id) {
@@ -218,12 +218,12 @@ std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc) cons
     const Tensor& tensor = *graph_.value(node.inputs[operand]).constant;
     return tensor.get(tensor.count() == 1 ? 0 : oc);
   };
-  if (graph_.value(node.output).type.dtype != DType::kInt8 || node.attrs.flag(Attr::kInputUnsigned) ||
-      node.attrs.flag(Attr::kOutputUnsigned) ||
+  if (graph_.value(node.output).type.dtype != DType::kInt8 ||
+      node.attrs.flag(Attr::kInputUnsigned) || node.attrs.flag(Attr::kOutputUnsigned) ||
       node.attrs.get(Attr::kRoundingMode) != kSingleRound || constant(3) != 0)
     return std::nullopt;
   const int64_t multiplier = constant(1), shift = constant(2), zero_point = constant(4),
-                added = offset(oc), low = problem_.proof->min[static_cast<size_t>(oc)],
+                low = problem_.proof->min[static_cast<size_t>(oc)],
                 high = problem_.proof->max[static_cast<size_t>(oc)];
   constexpr int64_t kExact = int64_t{1} << 53, kWord = int64_t{1} << 31;
   if (shift > 44 || std::max({std::abs(low), std::abs(high), std::abs(added)}) >= kWord)
@@ -243,8 +243,7 @@ std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc) cons
 }
 
 void LiteralConv::results(std::string& text, int64_t first, int64_t last, const std::string& y,
-                          const std::string& x, const std::function<std::string(int64_t oc)>& sum,
-                          bool doubles, const std::string& suffix) {
+                          const std::string& x, const Sums& sums, const std::string& suffix) {
   const ValueId result = problem_.group.result;
   const int64_t channels = out()[3];
   // The last tiles of a row or column may reach beyond the result.
@@ -259,16 +258,18 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
   for (int64_t oc = first; oc < last; ++oc) {
     const std::string own = fmt::format("{}_{}", suffix, oc);
     const Position at{{"n", y, x, std::to_string(oc)}, {}};
-    const std::optional<Scale> scale = doubles ? scale_in_doubles(oc) : std::nullopt;
+    const std::string sum = sums.expression(oc);
+    const int64_t added = offset(oc) + (sums.less.empty() ? 0 : sums.less[static_cast<size_t>(oc)]);
+    const std::optional<Scale> scale = sums.doubles ? scale_in_doubles(oc, added) : std::nullopt;
     if (scale) {
       // Above 0 truncation is the floor that the shift means, and below 0 all becomes 0.
-      text += fmt::format("  precise double h{0} = {1} * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n",
-                          own, sum(oc), double_literal(scale->factor),
-                          double_literal(scale->constant));
+      text += fmt::format(
+          "  precise double h{0} = {1} * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n", own,
+          sum, double_literal(scale->factor), double_literal(scale->constant));
       codegen_.locals()[scale->output] = fmt::format("(u{} - 128)", own);
     } else {
-      text += fmt::format("  int h{} = int({}) + {};\n", own, sum(oc),
-                          Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(offset(oc)))));
+      text += fmt::format("  int h{} = int({}) + {};\n", own, sum,
+                          Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(added))));
       codegen_.locals()[node_.output] = "h" + own;
     }
     codegen_.epilogue(text, at, own, scale ? std::optional(scale->output) : std::nullopt);
@@ -418,10 +419,12 @@ class TapEmitter {
       : conv_(problem),
         map_(map),
         pair_(map.arithmetic == Arithmetic::kDoublePair),
-        type_(pair_                                         ? "double"
+        type_(pair_                                    ? "double"
               : map.arithmetic == Arithmetic::kFloat32 ? "float"
                                                        : "int"),
-        point_(pair_ ? ".0lf" : map.arithmetic == Arithmetic::kFloat32 ? ".0" : "") {}
+        point_(pair_                                    ? ".0lf"
+               : map.arithmetic == Arithmetic::kFloat32 ? ".0"
+                                                        : "") {}
 
   KernelSource module(int64_t first, int64_t last) {
     std::string body;
@@ -452,11 +455,15 @@ class TapEmitter {
         for (int64_t oc = first; oc < last; ++oc)
           text += LiteralConv::split(sum(p, oc), kPairSpacing);
       for (int64_t side = 0; side < map_.sides(); ++side)
-        conv_.results(
-            text, first, last, fmt::format("(row * {} + {})", map_.tile_height, p / width),
-            fmt::format("(x * {} + {})", map_.tile_width, side * width + p % width),
-            [&](int64_t oc) { return pair_ ? fmt::format("{}_{}", sum(p, oc), side) : sum(p, oc); },
-            pair_, fmt::format("_{}_{}", side, p));
+        conv_.results(text, first, last,
+                      fmt::format("(row * {} + {})", map_.tile_height, p / width),
+                      fmt::format("(x * {} + {})", map_.tile_width, side * width + p % width),
+                      {.expression =
+                           [&](int64_t oc) {
+                             return pair_ ? fmt::format("{}_{}", sum(p, oc), side) : sum(p, oc);
+                           },
+                       .doubles = pair_},
+                      fmt::format("_{}_{}", side, p));
     }
     return text + "  }\n";
   }
@@ -477,9 +484,9 @@ class TapEmitter {
       }
     if (sums.empty()) return sums;
     const std::array<size_t, 2>& texels = map_.taps[tap];
-    return fmt::format("  v = {}({});\n", type_,
-                       pair_ ? conv_.byte_pair(texels, c, kPairSpacing)
-                             : conv_.byte(texels[0], c)) +
+    return fmt::format(
+               "  v = {}({});\n", type_,
+               pair_ ? conv_.byte_pair(texels, c, kPairSpacing) : conv_.byte(texels[0], c)) +
            sums;
   }
 

@@ -77,12 +77,18 @@ class LiteralConv {
   /// A GLSL literal of exactly this value.
   static std::string double_literal(double value);
 
+  /// Sums of w * u as expressions.
+  struct Sums {
+    std::function<std::string(int64_t oc)> expression;
+    bool doubles = false;  ///< their type is double
+    std::vector<int64_t> less =
+        {};  ///< by output channel, how far they are too low; nowhere if empty
+  };
   /// Appends bias, fused elementwise nodes and stores for channels [first, last) of the result at
-  /// row y, column x, guarded where (y, x) may lie outside. `sum` gives the expression of the sum of
-  /// w * u, of a type that holds it, double if `doubles`; `suffix` keeps the locals of unrolled copies apart.
+  /// row y, column x, guarded where (y, x) may lie outside. `suffix` keeps the locals of unrolled
+  /// copies apart.
   void results(std::string& text, int64_t first, int64_t last, const std::string& y,
-               const std::string& x, const std::function<std::string(int64_t oc)>& sum,
-               bool doubles, const std::string& suffix);
+               const std::string& x, const Sums& sums, const std::string& suffix);
 
   /// Variable that holds the channels around `c` of texel `index` of a Tiling.
   std::string texel(size_t index, int64_t c) const {
@@ -110,8 +116,9 @@ class LiteralConv {
     ValueId output;
     double factor, constant;
   };
-  /// Nothing if the group has no such node, or a product that a double may not hold.
-  std::optional<Scale> scale_in_doubles(int64_t oc) const;
+  /// For sums that lack `added`. Nothing if the group has no such node, or one with products that a
+  /// double may not hold.
+  std::optional<Scale> scale_in_doubles(int64_t oc, int64_t added) const;
   /// Added to the sum of w * u to make the accumulator.
   int64_t offset(int64_t oc) const;
   std::vector<int64_t> leaf_channels(ValueId id) const;

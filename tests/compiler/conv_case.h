@@ -61,8 +61,8 @@ struct ConvCase {
     for (int64_t i = 0; i < weights.count(); ++i)
       if (draw(0, 99) < zero_weights) weights.set(i, 0);
     const ValueId weight = g.add_constant("w", std::move(weights));
-    const ValueId bias =
-        g.add_constant("b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -largest_bias, largest_bias));
+    const ValueId bias = g.add_constant(
+        "b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -largest_bias, largest_bias));
     const ValueId zp = scalar("zp", DType::kInt8, input_zp),
                   wzp = scalar("wzp", DType::kInt8, weight_zp);
     Attrs attrs;
@@ -77,10 +77,10 @@ struct ConvCase {
 
     const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift,
                              int64_t high_shift, int64_t out_zp, int64_t least_multiplier = 1 << 30,
-                             int64_t most_multiplier = INT32_MAX,
-                             int64_t rounding = kSingleRound) {
+                             int64_t most_multiplier = INT32_MAX, int64_t rounding = kSingleRound) {
       const int64_t channels = per_channel ? oc : 1;
-      const ValueId m = g.add_constant("m", tensor(DType::kInt32, {channels}, least_multiplier, most_multiplier));
+      const ValueId m =
+          g.add_constant("m", tensor(DType::kInt32, {channels}, least_multiplier, most_multiplier));
       const ValueId s =
           g.add_constant("s", tensor(DType::kInt8, {channels}, low_shift, high_shift));
       const DType in = g.value(from).type.dtype;
@@ -311,8 +311,10 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .epilogue = Epilogue::kTable,
                    .weight_min = -30,
                    .weight_max = 30});
-  // Exact in float32 as it is, but not after Winograd's transforms.
-  cases.push_back({.name = "beyond_winograd", .ic = 64, .oc = 1});
+  // Winograd's sums of two tiles fit a double in parts of the channels, or not even so.
+  cases.push_back({.name = "winograd_in_parts", .ic = 64, .oc = 1});
+  cases.push_back({.name = "winograd_in_two_parts", .ic = 24, .oc = 21, .input_zp = -128});
+  cases.push_back({.name = "beyond_winograd", .ic = 128, .oc = 1});
   // So high that an invocation goes over several rows, the last one over fewer.
   cases.push_back(
       {.name = "looped_rows", .h = 197, .w = 9, .ic = 32, .oc = 40, .zero_weights = 85});

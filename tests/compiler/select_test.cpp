@@ -33,7 +33,7 @@ TEST(Select, TakesDoublesForProvenConvolutionsOnLavapipe) {
     const std::string kernel = selected(row.graph());
     if (row.name == "beyond_float") {
       EXPECT_EQ(kernel, "conv2d_s8_i32");
-    } else if (row.name == "beyond_pair") {
+    } else if (row.name == "beyond_pair" || row.name == "beyond_winograd") {
       EXPECT_EQ(kernel, "conv2d_s8_f32exact");
     } else {
       EXPECT_TRUE(kernel == "conv2d_s8_f64pair" || kernel == "conv2d_s8_winograd" ||

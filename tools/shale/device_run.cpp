@@ -110,8 +110,6 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
   const std::vector<const Resource*> in = tensors_of(state->pipeline.variant(), Category::kInput);
-  if (in.size() != inputs.size())
-    return bad_input("", "found {} inputs, the network has {}", inputs.size(), in.size());
   const auto add = [&](const Resource& resource, vk::MemoryKind kind,
                        std::vector<vk::Buffer>& buffers) -> Result<void> {
     const uint64_t size = bound_bytes(resource);
@@ -120,17 +118,26 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
     buffers.push_back(std::move(buffer));
     return {};
   };
+  for (const Resource* resource : in)
+    SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kUpload, state->inputs));
+  for (const Resource* resource : tensors_of(state->pipeline.variant(), Category::kOutput))
+    SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kReadback, state->outputs));
+  NetworkRun run(state);
+  SHALE_TRY_VOID(run.set_inputs(inputs));
+  return run;
+}
+
+Result<void> NetworkRun::set_inputs(const std::vector<Tensor>& inputs) {
+  const std::vector<const Resource*> in = tensors_of(state_->pipeline.variant(), Category::kInput);
+  if (in.size() != inputs.size())
+    return bad_input("", "found {} inputs, the network has {}", inputs.size(), in.size());
   for (size_t i = 0; i < in.size(); ++i) {
     if (inputs[i].type.dtype != in[i]->dtype || inputs[i].type.shape != in[i]->shape)
       return bad_input("input \"" + in[i]->name + "\"", "found {}, expected {}",
                        type_text(inputs[i].type), type_text({in[i]->dtype, in[i]->shape}));
-    SHALE_TRY_VOID(add(*in[i], vk::MemoryKind::kUpload, state->inputs));
-    std::copy(inputs[i].bytes.begin(), inputs[i].bytes.end(),
-              state->inputs.back().mapped().begin());
+    std::copy(inputs[i].bytes.begin(), inputs[i].bytes.end(), state_->inputs[i].mapped().begin());
   }
-  for (const Resource* resource : tensors_of(state->pipeline.variant(), Category::kOutput))
-    SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kReadback, state->outputs));
-  return NetworkRun(state);
+  return {};
 }
 
 Result<void> NetworkRun::run() { return state_->submit(nullptr); }

@@ -63,6 +63,8 @@ class NetworkRun {
   /// Errors: kBadInput if inputs do not match the package, kDevice.
   static Result<NetworkRun> create(const ToolDevice& device, const Package& package,
                                    const std::vector<Tensor>& inputs, StartTimes* start = nullptr);
+  /// Other inputs, for the runs to come. Errors: kBadInput if they do not match the package.
+  Result<void> set_inputs(const std::vector<Tensor>& inputs);
   /// Runs once. Errors: kDevice.
   Result<void> run();
   /// Runs once and measures each dispatch; a driver may compile at the first run.
