@@ -23,17 +23,8 @@ namespace shale {
 namespace {
 
 constexpr int kBt[4][4] = {{1, 0, -1, 0}, {0, 1, 1, 0}, {0, -1, 1, 0}, {0, 1, 0, -1}};
+constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, -1}};
 constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, 2}};
-/// The output transform of output channel {0}: what is done with the sums m of position j of a row,
-/// z0 = m0 + m1 + m2 and z1 = m1 - m2 - m3, each times {1}, and with those of row i.
-constexpr const char* kRow[4] = {
-    "  z0_{0} = m{0} * {1}lf;\n", "  m{0} *= {1}lf;\n  z0_{0} += m{0};\n  z1_{0} = m{0};\n",
-    "  m{0} *= {1}lf;\n  z0_{0} += m{0};\n  z1_{0} -= m{0};\n", "  z1_{0} -= m{0} * {1}lf;\n"};
-constexpr const char* kColumn[4] = {
-    "  y0_{0} = z0_{0};\n  y1_{0} = z1_{0};\n",
-    "  y0_{0} += z0_{0};\n  y1_{0} += z1_{0};\n  y2_{0} = z0_{0};\n  y3_{0} = z1_{0};\n",
-    "  y0_{0} += z0_{0};\n  y1_{0} += z1_{0};\n  y2_{0} -= z0_{0};\n  y3_{0} -= z1_{0};\n",
-    "  y2_{0} -= z0_{0};\n  y3_{0} -= z1_{0};\n"};
 /// Bits between the two tiles: V of the second one, up to 1020, ends at bit 31.
 constexpr int kSpacing = 22;
 /// Both tiles' share of a number that is the same in both.
@@ -161,7 +152,7 @@ class Winograd {
   /// weights are fewer constants in the cache.
   static int multiple(size_t i, size_t j) { return (i % 3 == 0 ? 2 : 1) * (j % 3 == 0 ? 2 : 1); }
 
-  /// Sum of terms {0} with the signs of a row of B^T.
+  /// Sum of terms with signs.
   template <typename Term>
   static std::string combine(const int (&signs)[4], const Term& term) {
     std::string plus, minus;
@@ -176,31 +167,35 @@ class Winograd {
   /// Output channels [first, last).
   std::string pass(int64_t first, int64_t last) {
     std::string text = fmt::format("  {{\n  uint zero = uint(x >= {});\n", INT32_MAX - first);
-    for (int64_t oc = first; oc < last; ++oc)
-      for (int pixel = 0; pixel < 4; ++pixel)
-        text += fmt::format("  double s{0}_{1}_0, s{0}_{1}_1;\n", pixel, oc);
     std::vector<int64_t> less(static_cast<size_t>(last));
     for (int64_t part = 0; part < parts_; ++part) text += sums(first, last, part, less);
     for (int64_t pixel = 0; pixel < 4; ++pixel)
-      for (int64_t side = 0; side < 2; ++side)
-        conv_.results(
-            text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
-            fmt::format("(x * 4 + {})", 2 * side + pixel % 2),
-            {.expression = [&](int64_t oc) { return fmt::format("s{}_{}_{}", pixel, oc, side); },
-             .doubles = true,
-             .less = less},
-            fmt::format("_{}_{}", side, pixel));
+      for (int64_t side = 0; side < 2; ++side) {
+        const auto sum = [&](int64_t oc) {
+          std::string terms = output(0, pixel, oc, side);
+          for (int64_t part = 1; part < parts_; ++part)
+            terms += " + " + output(part, pixel, oc, side);
+          return "(" + terms + ")";
+        };
+        conv_.results(text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
+                      fmt::format("(x * 4 + {})", 2 * side + pixel % 2),
+                      {.expression = sum, .doubles = true, .less = less},
+                      fmt::format("_{}_{}", side, pixel));
+      }
     return text + "  }\n";
   }
 
-  /// The share of a part of the input channels in the pass's sums; `less` is what they lack.
-  std::string sums(int64_t first, int64_t last, int64_t part, std::vector<int64_t>& less) const {
-    std::string text = "  {\n  double v;\n";
-    const auto each = [&](auto&& line) {
-      for (int64_t oc = first; oc < last; ++oc) text += line(oc);
-    };
+  /// Variable of an output of a tile, by split().
+  static std::string output(int64_t part, int64_t pixel, int64_t oc, int64_t side) {
+    return fmt::format("y{}_{}_{}_{}", part, pixel, oc, side);
+  }
+
+  /// The share of a part of the input channels in the pass's sums; `less` is what they lack. Every
+  /// variable that several blocks use is stored once, which the compilers like best.
+  std::string sums(int64_t first, int64_t last, int64_t part, std::vector<int64_t>& less) {
+    std::string text;
     const int64_t from = start(part, parts_), to = start(part + 1, parts_);
-    const auto packed = [](size_t row, size_t column, int64_t c) {
+    const auto packed = [&](size_t row, size_t column, int64_t c) {
       return fmt::format("p{}_{}_{}", row, column, c);
     };
     for (size_t row = 0; row < 4; ++row)
@@ -210,32 +205,44 @@ class Winograd {
           text += fmt::format("  uint {} = {};\n", packed(row, column, c),
                               conv_.byte_pair({texel, texel + 2}, c, kSpacing));
         }
-    each([](int64_t oc) {
-      return fmt::format("  double m{0}, z0_{0}, z1_{0}, y0_{0}, y1_{0}, y2_{0}, y3_{0};\n", oc);
-    });
+    const auto position = [&](size_t i, size_t j, int64_t oc) {
+      return fmt::format("m{}_{}{}_{}", part, i, j, oc);
+    };
+    const auto running = [&](size_t pixel, size_t i, int64_t oc) {
+      return fmt::format("r{}_{}{}_{}", part, pixel, i, oc);
+    };
     for (size_t i = 0; i < 4; ++i) {
       for (size_t j = 0; j < 4; ++j) {
-        text += "  for (;;) {\n";
-        each([](int64_t oc) { return fmt::format("  m{} = 0.0lf;\n", oc); });
+        std::string before, after;
+        for (int64_t oc = first; oc < last; ++oc) {
+          text += fmt::format("  double {};\n", position(i, j, oc));
+          before += fmt::format("  double a{} = 0.0lf;\n", oc);
+          after += fmt::format("  {} = a{} * {:.2f}lf;\n", position(i, j, oc), oc,
+                               0.25 * multiple(i, j));
+        }
+        text += "  for (;;) {\n  double v;\n" + before;
         for (int64_t c = from; c < to; ++c) text += products(first, last, i, j, c, packed);
-        text += "  if (x >= 0) break;\n  }\n";
-        each([&](int64_t oc) {
-          return fmt::format(fmt::runtime(kRow[j]), oc,
-                             fmt::format("{:.2f}", 0.25 * multiple(i, j)));
-        });
+        text += after + "  if (x >= 0) break;\n  }\n";
       }
-      each([&](int64_t oc) { return fmt::format(fmt::runtime(kColumn[i]), oc); });
+      // The outputs as far as the rows of positions up to here make them.
+      for (int64_t oc = first; oc < last; ++oc)
+        for (size_t pixel = 0; pixel < 4; ++pixel)
+          text +=
+              fmt::format("  double {} = {} + {}.0lf * {};\n", running(pixel, i, oc),
+                          i > 0 ? running(pixel, i - 1, oc) : "0.0lf", kAt[pixel / 2][i],
+                          combine(kAt[pixel % 2], [&](size_t j) { return position(i, j, oc); }));
     }
-    for (int pixel = 0; pixel < 4; ++pixel)
-      each([&](int64_t oc) {
-        const int64_t centre = middle(range(oc, from, to));
-        if (pixel == 0) less[static_cast<size_t>(oc)] += centre;
-        return fmt::format("  y{}_{} -= {}.0lf;\n", pixel, oc, centre * kBoth) +
-               LiteralConv::split(fmt::format("y{}_{}", pixel, oc), kSpacing) +
-               fmt::format("  s{1}_{2}_0 {0}= y{1}_{2}_0;\n  s{1}_{2}_1 {0}= y{1}_{2}_1;\n",
-                           part > 0 ? "+" : "", pixel, oc);
-      });
-    return text + "  }\n";
+    for (int64_t oc = first; oc < last; ++oc) {
+      const int64_t centre = middle(range(oc, from, to));
+      less[static_cast<size_t>(oc)] += centre;
+      for (size_t pixel = 0; pixel < 4; ++pixel) {
+        const std::string own = fmt::format("y{}_{}_{}", part, pixel, oc);
+        text += fmt::format("  double {} = {} - {}.0lf;\n", own, running(pixel, 3, oc),
+                            centre * kBoth) +
+                conv_.split(own, kSpacing);
+      }
+    }
+    return text;
   }
 
   /// What input channel `c` adds to the sums at position (i, j).
@@ -246,7 +253,7 @@ class Winograd {
     for (int64_t oc = first; oc < last; ++oc) {
       const int64_t u = transformed(oc, i, j, c) / multiple(i, j);
       if (u != 0)
-        sums += fmt::format("  m{} {}= v * {}.0lf;\n", oc, u < 0 ? '-' : '+', std::abs(u));
+        sums += fmt::format("  a{} {}= v * {}.0lf;\n", oc, u < 0 ? '-' : '+', std::abs(u));
     }
     if (sums.empty()) return sums;
     const std::string value = combine(kBt[i], [&](size_t row) {

@@ -181,11 +181,18 @@ std::string LiteralConv::byte(size_t index, int64_t c, int shift) const {
 }
 
 std::string LiteralConv::split(const std::string& sum, int shift) {
-  // Adding and taking off 1.5 * 2^52 rounds to an integer, and all of it is exact.
-  return fmt::format(
-      "  precise double {0}_r = {0} * {1} + {2}, {0}_1 = {0}_r - {2}, {0}_0 = {0} - {0}_1 * {3};\n",
-      sum, double_literal(std::ldexp(1.0, -shift)), double_literal(1.5 * std::ldexp(1.0, 52)),
-      double_literal(std::ldexp(1.0, shift)));
+  // Adding and taking off 1.5 * 2^52 rounds to an integer. In a function, since `precise` would go on
+  // to everything that the sum is made from.
+  if (functions_.emplace("integer").second) {
+    const std::string large = double_literal(1.5 * std::ldexp(1.0, 52));
+    codegen_.add_function(
+        fmt::format("double integer(double value) {{\n  precise double rounded = value + {0};\n"
+                    "  rounded -= {0};\n  return rounded;\n}}\n\n",
+                    large));
+  }
+  return fmt::format("  double {0}_1 = integer({0} * {1}), {0}_0 = {0} - {0}_1 * {2};\n", sum,
+                     double_literal(std::ldexp(1.0, -shift)),
+                     double_literal(std::ldexp(1.0, shift)));
 }
 
 std::string LiteralConv::double_literal(double value) {
@@ -263,9 +270,9 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
     const std::optional<Scale> scale = sums.doubles ? scale_in_doubles(oc, added) : std::nullopt;
     if (scale) {
       // Above 0 truncation is the floor that the shift means, and below 0 all becomes 0.
-      text += fmt::format(
-          "  precise double h{0} = {1} * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n", own,
-          sum, double_literal(scale->factor), double_literal(scale->constant));
+      text +=
+          fmt::format("  double h{0} = {1} * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n",
+                      own, sum, double_literal(scale->factor), double_literal(scale->constant));
       codegen_.locals()[scale->output] = fmt::format("(u{} - 128)", own);
     } else {
       text += fmt::format("  int h{} = int({}) + {};\n", own, sum,
@@ -452,8 +459,7 @@ class TapEmitter {
     const int64_t width = map_.tile_width / map_.sides();
     for (int64_t p = pixel; p < end; ++p) {
       if (pair_)
-        for (int64_t oc = first; oc < last; ++oc)
-          text += LiteralConv::split(sum(p, oc), kPairSpacing);
+        for (int64_t oc = first; oc < last; ++oc) text += conv_.split(sum(p, oc), kPairSpacing);
       for (int64_t side = 0; side < map_.sides(); ++side)
         conv_.results(text, first, last,
                       fmt::format("(row * {} + {})", map_.tile_height, p / width),

@@ -73,7 +73,7 @@ class LiteralConv {
   }
   /// Statements that take the double in variable `sum`, a + 2^shift b with |a| < 2^(shift-1), apart
   /// into doubles `sum`_0 = a and `sum`_1 = b.
-  static std::string split(const std::string& sum, int shift);
+  std::string split(const std::string& sum, int shift);
   /// A GLSL literal of exactly this value.
   static std::string double_literal(double value);
 

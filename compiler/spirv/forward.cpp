@@ -1,6 +1,8 @@
 #include "compiler/spirv/forward.h"
 
 #include <algorithm>
+#include <array>
+#include <map>
 #include <span>
 #include <spirv/unified1/spirv.hpp>
 #include <vector>
@@ -81,6 +83,59 @@ struct Variable {
   bool one_block = true;
   uint32_t value = kNone;  ///< known value in the current block
   size_t last_store = 0;   ///< offset of the store whose value nobody has seen yet; 0 if none
+  uint32_t stores = 0;
+  size_t store = 0;  ///< offset of the only one
+  uint32_t store_block = kNone;
+  bool settled = false;  ///< stored once, before every load: one value in all blocks
+};
+
+/// Blocks of all functions in the order of the module, in which a block follows those that dominate it.
+class Dominators {
+ public:
+  /// Begins a block; `entry` if it is the first of a function.
+  void add(uint32_t label, bool entry) {
+    index_[label] = idom_.size();
+    idom_.push_back(entry ? idom_.size() : kUnknown);
+    before_.emplace_back();
+  }
+  void add_edge(uint32_t from, uint32_t to) { edges_.push_back({from, to}); }
+
+  void solve() {
+    for (const auto& [from, to] : edges_)
+      if (index_.contains(from) && index_.contains(to)) before_[index_[to]].push_back(index_[from]);
+    for (bool changed = true; changed;) {
+      changed = false;
+      for (size_t i = 0; i < idom_.size(); ++i) {
+        if (idom_[i] == i) continue;
+        size_t common = kUnknown;
+        for (const size_t from : before_[i])
+          if (idom_[from] != kUnknown) common = common == kUnknown ? from : meet(from, common);
+        if (common != kUnknown && common >= i) common = kUnknown;  // not reached from the entry
+        changed = changed || common != idom_[i];
+        idom_[i] = common;
+      }
+    }
+  }
+
+  bool dominates(uint32_t label, uint32_t other) const {
+    const size_t target = index_.at(label);
+    size_t at = index_.at(other);
+    while (at > target && idom_[at] != kUnknown) at = idom_[at];
+    return at == target;
+  }
+
+ private:
+  static constexpr size_t kUnknown = SIZE_MAX;
+
+  size_t meet(size_t a, size_t b) const {
+    while (a != b) (a > b ? a : b) = idom_[std::max(a, b)];
+    return a;
+  }
+
+  std::map<uint32_t, size_t> index_;
+  std::vector<size_t> idom_;  ///< its own of an entry
+  std::vector<std::vector<size_t>> before_;
+  std::vector<std::array<uint32_t, 2>> edges_;
 };
 
 }  // namespace
@@ -97,11 +152,12 @@ Spirv forward_locals(const Spirv& words) {
 
   // Which variables are only loaded and stored whole, and in which blocks.
   uint32_t block = kNone;
-  bool in_function = false;
+  bool in_function = false, at_entry = false;
+  Dominators dominators;
   for (size_t at = kHeaderWords; at < words.size(); at += length(at)) {
     if (length(at) == 0 || at + length(at) > words.size()) return words;
     const std::span<const uint32_t> one(&words[at], length(at));
-    if (op_at(at) == spv::OpFunction) in_function = true;
+    if (op_at(at) == spv::OpFunction) in_function = at_entry = true;
     if (op_at(at) == spv::OpConstant && one.size() == 4 && one[2] < bound)
       constants[one[2]] = one[3];
     if (!in_function) continue;
@@ -118,7 +174,16 @@ Spirv forward_locals(const Spirv& words) {
     for (const IdRange& range : ranges)
       for (size_t i = range.begin; i < range.end; ++i)
         if (one[i] >= bound) return words;
-    if (op_at(at) == spv::OpLabel) block = one[1];
+    if (op_at(at) == spv::OpLabel) {
+      block = one[1];
+      dominators.add(block, at_entry);
+      at_entry = false;
+    }
+    if (op_at(at) == spv::OpBranch) dominators.add_edge(block, one[1]);
+    if (op_at(at) == spv::OpBranchConditional && one.size() >= 4) {
+      dominators.add_edge(block, one[2]);
+      dominators.add_edge(block, one[3]);
+    }
     if (op_at(at) == spv::OpVariable && one[3] == spv::StorageClassFunction) {
       variables[one[2]].eligible = one.size() == 4;
       continue;
@@ -137,9 +202,30 @@ Spirv forward_locals(const Spirv& words) {
         const bool is_pointer = (plain && i == (loads ? 3u : 1u)) || (selects && i == 3);
         if (!is_pointer || (is_component && !loads)) variable.eligible = false;
         if (is_component) ++component.loads;
+        if (is_pointer && !loads && !selects) {
+          ++variable.stores;
+          variable.store = at;
+          variable.store_block = block;
+        }
         if (variable.block == kNone) variable.block = block;
         if (variable.block != block) variable.one_block = false;
       }
+  }
+
+  // Stored once, and seen by nobody who may come before that.
+  dominators.solve();
+  for (Variable& variable : variables)
+    variable.settled = variable.eligible && !variable.one_block && variable.stores == 1;
+  for (size_t at = kHeaderWords; at < words.size(); at += length(at)) {
+    if (op_at(at) == spv::OpLabel) block = words[at + 1];
+    if (op_at(at) != spv::OpLoad) continue;
+    const Component& component = components[words[at + 3]];
+    Variable& variable =
+        variables[component.variable != kNone ? component.variable : words[at + 3]];
+    if (!variable.settled) continue;
+    variable.settled = block == variable.store_block
+                           ? variable.store < at
+                           : dominators.dominates(variable.store_block, block);
   }
 
   // Values forwarded; stores that nothing sees are marked.
@@ -151,8 +237,9 @@ Spirv forward_locals(const Spirv& words) {
   const auto end_block = [&] {
     for (const uint32_t id : active) {
       Variable& variable = variables[id];
-      if (variable.one_block && variable.last_store != 0) dropped.push_back(variable.last_store);
-      variable.value = kNone;
+      if ((variable.one_block || variable.settled) && variable.last_store != 0)
+        dropped.push_back(variable.last_store);
+      if (!variable.settled) variable.value = kNone;
       variable.last_store = 0;
     }
     active.clear();

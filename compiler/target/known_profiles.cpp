@@ -94,7 +94,7 @@ const std::vector<DeviceProfile>& profiles() {
                       {Work::kFloatProduct, 0.0162},
                       {Work::kIntProduct, 0.032},
                       {Work::kPairProduct, 0.0275},
-                      {Work::kTransform, 0.075},
+                      {Work::kTransform, 0.1},
                       {Work::kFetch, 0.787},
                       {Work::kUnpack, 0.09},
                       {Work::kResult, 0.12},
@@ -102,7 +102,7 @@ const std::vector<DeviceProfile>& profiles() {
                       {Work::kGenericResult, 3.75},
                       {Work::kByte, 0.167}}),
        .roof_gops = 121.5,
-       .driver_us_per_product = 120,
+       .driver_us_per_product = 300,
        .literal_weights = true,
        .source = "fitted by shale fit to NSS v1 HIGH, LOW, v0.1, SRPO x2, x3 at 320x180, 640x360 "
                  "and 1280x720 "

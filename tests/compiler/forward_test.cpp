@@ -58,6 +58,27 @@ TEST(ForwardLocals, KeepsWhatOtherBlocksRead) {
   EXPECT_GE(count(result, "OpLoad"), 4u) << text;
 }
 
+TEST(ForwardLocals, CarriesWhatIsStoredOnceIntoLaterBlocks) {
+  const Spirv result = forwarded(
+      "  float v = b.d[id], s;\n  uvec4 q = texelFetch(t, id);\n"
+      "  for (;;) { float a = v; a += float(q.y); s = a * 2.0; if (id >= 0) break; }\n"
+      "  b.d[id] = s + v + float(q.z);\n");
+  EXPECT_LE(count(result, "OpStore"), 2u);  // the buffer, the function's parameter
+  EXPECT_EQ(count(result, "OpCompositeExtract"), 2u);
+}
+
+TEST(ForwardLocals, KeepsAStoreThatDoesNotComeBeforeEveryLoad) {
+  const auto stores = [](const std::string& body) { return count(forwarded(body), "OpStore"); };
+  const size_t with_branch = stores("  float c;\n  if (b.d[0] > 3.0) c = 1.0;\n  b.d[id] = c;\n"),
+               without = stores("  float c = 1.0;\n  b.d[id] = c;\n");
+  EXPECT_EQ(with_branch, without + 1);
+  // Seen in the next round of the loop.
+  const std::string text = must(disassemble_spirv(
+      forwarded("  float p;\n  for (int i = 0; i < 4; ++i) {\n    if (i > 0) b.d[i] = p;\n    p = "
+                "b.d[i + 8];\n  }\n")));
+  EXPECT_NE(text.find("OpStore %p "), std::string::npos) << text;
+}
+
 TEST(ForwardLocals, TakesComponentsOfKnownVectors) {
   const Spirv result = forwarded(
       "  uvec4 q = texelFetch(t, id);\n  float a = float(q.x & 255u);\n"
