@@ -23,8 +23,10 @@ namespace shale {
 namespace {
 
 constexpr int kBt[4][4] = {{1, 0, -1, 0}, {0, 1, 1, 0}, {0, -1, 1, 0}, {0, 1, 0, -1}};
-constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, -1}};
-constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, 2}};
+// The last position with the other sign in both: the driver carries a minus through all that a value is
+// the sum of, step by step.
+constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, 1}};
+constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, -2}};
 /// Bits between the two tiles: V of the second one, up to 1020, ends at bit 31.
 constexpr int kSpacing = 22;
 /// Both tiles' share of a number that is the same in both.
@@ -208,9 +210,8 @@ class Winograd {
     const auto position = [&](size_t i, size_t j, int64_t oc) {
       return fmt::format("m{}_{}{}_{}", part, i, j, oc);
     };
-    const auto running = [&](size_t pixel, size_t i, int64_t oc) {
-      return fmt::format("r{}_{}{}_{}", part, pixel, i, oc);
-    };
+    // The outputs as far as the rows of positions up to here make them, by output channel and pixel.
+    std::vector<std::array<std::string, 4>> outputs(static_cast<size_t>(last));
     for (size_t i = 0; i < 4; ++i) {
       for (size_t j = 0; j < 4; ++j) {
         std::string before, after;
@@ -224,21 +225,26 @@ class Winograd {
         for (int64_t c = from; c < to; ++c) text += products(first, last, i, j, c, packed);
         text += after + "  if (x >= 0) break;\n  }\n";
       }
-      // The outputs as far as the rows of positions up to here make them.
       for (int64_t oc = first; oc < last; ++oc)
-        for (size_t pixel = 0; pixel < 4; ++pixel)
+        for (size_t pixel = 0; pixel < 4; ++pixel) {
+          const int sign = kAt[pixel / 2][i];
+          if (sign == 0) continue;
+          std::string& so_far = outputs[static_cast<size_t>(oc)][pixel];
+          const std::string next = fmt::format("r{}_{}{}_{}", part, pixel, i, oc);
           text +=
-              fmt::format("  double {} = {} + {}.0lf * {};\n", running(pixel, i, oc),
-                          i > 0 ? running(pixel, i - 1, oc) : "0.0lf", kAt[pixel / 2][i],
+              fmt::format("  double {} = {}{};\n", next,
+                          so_far.empty() ? "" : so_far + (sign > 0 ? " + " : " - "),
                           combine(kAt[pixel % 2], [&](size_t j) { return position(i, j, oc); }));
+          so_far = next;
+        }
     }
     for (int64_t oc = first; oc < last; ++oc) {
       const int64_t centre = middle(range(oc, from, to));
       less[static_cast<size_t>(oc)] += centre;
       for (size_t pixel = 0; pixel < 4; ++pixel) {
         const std::string own = fmt::format("y{}_{}_{}", part, pixel, oc);
-        text += fmt::format("  double {} = {} - {}.0lf;\n", own, running(pixel, 3, oc),
-                            centre * kBoth) +
+        text += fmt::format("  double {} = {} - {}.0lf;\n", own,
+                            outputs[static_cast<size_t>(oc)][pixel], centre * kBoth) +
                 conv_.split(own, kSpacing);
       }
     }
@@ -252,8 +258,7 @@ class Winograd {
     std::string sums;
     for (int64_t oc = first; oc < last; ++oc) {
       const int64_t u = transformed(oc, i, j, c) / multiple(i, j);
-      if (u != 0)
-        sums += fmt::format("  a{} {}= v * {}.0lf;\n", oc, u < 0 ? '-' : '+', std::abs(u));
+      if (u != 0) sums += fmt::format("  a{} += v * {}.0lf;\n", oc, u);
     }
     if (sums.empty()) return sums;
     const std::string value = combine(kBt[i], [&](size_t row) {

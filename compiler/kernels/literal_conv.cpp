@@ -485,8 +485,7 @@ class TapEmitter {
       for (int64_t oc = first; oc < last; ++oc) {
         const int64_t w = map_.weight(p, tap, oc, c);
         if (w != 0)
-          sums += fmt::format("  {} {}= v * {}{};\n", sum(p, oc), w < 0 ? '-' : '+', std::abs(w),
-                              point_);
+          sums += fmt::format("  {} += v * {}{};\n", sum(p, oc), w, point_);
       }
     if (sums.empty()) return sums;
     const std::array<size_t, 2>& texels = map_.taps[tap];
