@@ -76,9 +76,9 @@ const std::vector<DeviceProfile>& profiles() {
                 .driver = "Mesa 22.3",
                 .api_version = (1u << 22) | (3u << 12),
                 .cpu = true,
-                .features =
-                    features({Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8,
-                              Feature::kInt16, Feature::kInt64, Feature::kDotProduct8, Feature::kFloat64}),
+                .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16,
+                                      Feature::kInt8, Feature::kInt16, Feature::kInt64,
+                                      Feature::kDotProduct8, Feature::kFloat64}),
                 .max_workgroup_invocations = 1024,
                 .max_workgroup_size = {1024, 1024, 1024},
                 .max_workgroup_count = {65535, 65535, 65535},
@@ -89,26 +89,26 @@ const std::vector<DeviceProfile>& profiles() {
                 .max_texel_buffers = 128,
                 .max_storage_images = 32,
                 .subgroup_size = 8},
-       .ns = work_ns({{Work::kDispatch, 131100},
-                      {Work::kCode, 3.85},
+       .ns = work_ns({{Work::kDispatch, 100400},
+                      {Work::kCode, 4.63},
                       {Work::kFloatProduct, 0.0162},
                       {Work::kIntProduct, 0.032},
-                      {Work::kPairProduct, 0.0275},
-                      {Work::kTransform, 0.1},
-                      {Work::kFetch, 0.787},
-                      {Work::kUnpack, 0.09},
-                      {Work::kResult, 0.12},
+                      {Work::kPairProduct, 0.0169},
+                      {Work::kTransform, 0.259},
+                      {Work::kFetch, 0.711},
+                      {Work::kUnpack, 0.168},
+                      {Work::kResult, 0.353},
                       {Work::kGenericMac, 2.35},
-                      {Work::kGenericResult, 3.75},
+                      {Work::kGenericResult, 3.46},
                       {Work::kByte, 0.167}}),
-       .roof_gops = 121.5,
+       .roof_gops = 121.8,
        .driver_us_per_product = 300,
        .literal_weights = true,
-       .source = "fitted by shale fit to NSS v1 HIGH, LOW, v0.1, SRPO x2, x3 at 320x180, 640x360 "
-                 "and 1280x720 "
-                 "(shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa 22.3.6; "
-                 "int_product and "
-                 "generic_mac from tests/bench, byte assumed"},
+       .source =
+           "fitted by shale fit to NSS v1 HIGH, v0.1, SRPO x2, x3 at 640x360 and NSS v1 HIGH, LOW "
+           "at 320x180 (shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa "
+           "22.3.6; "
+           "float_product, int_product and generic_mac from tests/bench, byte assumed"},
       gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers", {}),
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",
                features({Feature::kDotProduct8}), work_ns({{Work::kDotMac, 0.002}})),

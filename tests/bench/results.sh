@@ -27,7 +27,7 @@ trap 'rm -f "$part" "$part.json"' EXIT
   echo
   echo "### Sizes, and predictions"
   echo
-  echo "The constants of the cost model are fitted to 320x180, 640x360 and 1280x720 (compiler/cost/README.md). \"Close\" is the"
+  echo "The constants of the cost model are fitted to 320x180 and 640x360 (compiler/cost/README.md). \"Close\" is the"
   echo "share of the time in dispatches that are predicted within 25 %."
   echo
   echo "| network | rendered | ms | predicted | | close | GOP/s | roof |"
