@@ -23,8 +23,8 @@ namespace shale {
 namespace {
 
 constexpr int kBt[4][4] = {{1, 0, -1, 0}, {0, 1, 1, 0}, {0, -1, 1, 0}, {0, 1, 0, -1}};
-// The last position with the other sign in both: the driver carries a minus through all that a value is
-// the sum of, step by step.
+// The last position has the other sign in both, as a minus there would be one of a whole sum: drivers
+// carry it through the sum step by step.
 constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, 1}};
 constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, -2}};
 /// Bits between the two tiles: V of the second one, up to 1020, ends at bit 31.
@@ -111,8 +111,9 @@ class Winograd {
   /// What sums of w * u over input channels [from, to) can be.
   IntRange range(int64_t oc, int64_t from, int64_t to) const {
     IntRange sums{0, 0};
-    for (int64_t ky = 0; ky < 3; ++ky)
-      for (int64_t kx = 0; kx < 3; ++kx)
+    const Shape& taps = conv_.weight_shape();
+    for (int64_t ky = 0; ky < taps[1]; ++ky)
+      for (int64_t kx = 0; kx < taps[2]; ++kx)
         for (int64_t c = from; c < to; ++c) {
           const int64_t w = conv_.weight(oc, ky, kx, c);
           (w > 0 ? sums.max : sums.min) += 255 * w;
@@ -278,7 +279,8 @@ class Winograd {
 }  // namespace
 
 bool conv2d_winograd_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  if (!LiteralConv::supports(problem, profile)) return false;
+  if (!LiteralConv::supports(problem, profile) || !profile.caps.features.has(Feature::kFloat64))
+    return false;
   const Winograd winograd(problem);
   return winograd.applies() && winograd.is_exact();
 }

@@ -213,13 +213,18 @@ int64_t LiteralConv::offset(int64_t oc) const {
 }
 
 std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc, int64_t added) const {
-  if (!problem_.proof || problem_.group.nodes.empty()) return std::nullopt;
+  if (!problem_.proof) return std::nullopt;
   const auto& nodes = problem_.group.nodes;
   const auto after = std::find_if(nodes.begin(), nodes.end(), [&](NodeId id) {
     const Node& node = graph_.node(id);
     return node.op == Op::kRescale && node.inputs[0] == node_.output;
   });
-  if (after == nodes.end()) return std::nullopt;
+  const auto reads_sum = [&](NodeId id) {
+    const std::vector<ValueId>& inputs = graph_.node(id).inputs;
+    return std::find(inputs.begin(), inputs.end(), node_.output) != inputs.end();
+  };
+  if (after == nodes.end() || std::count_if(nodes.begin(), nodes.end(), reads_sum) > 1)
+    return std::nullopt;
   const Node& node = graph_.node(*after);
   const auto constant = [&](size_t operand) {
     const Tensor& tensor = *graph_.value(node.inputs[operand]).constant;
@@ -233,7 +238,8 @@ std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc, int6
                 low = problem_.proof->min[static_cast<size_t>(oc)],
                 high = problem_.proof->max[static_cast<size_t>(oc)];
   constexpr int64_t kExact = int64_t{1} << 53, kWord = int64_t{1} << 31;
-  if (shift > 44 || std::max({std::abs(low), std::abs(high), std::abs(added)}) >= kWord)
+  if (multiplier < 0 || shift < 1 || shift > 44 ||
+      std::max({std::abs(low), std::abs(high), std::abs(added)}) >= kWord)
     return std::nullopt;
   // The result times 2^shift, before the shift: all of it an integer that a double holds.
   const int64_t constant_part =
@@ -484,8 +490,7 @@ class TapEmitter {
     for (int64_t p = pixel; p < end; ++p)
       for (int64_t oc = first; oc < last; ++oc) {
         const int64_t w = map_.weight(p, tap, oc, c);
-        if (w != 0)
-          sums += fmt::format("  {} += v * {}{};\n", sum(p, oc), w, point_);
+        if (w != 0) sums += fmt::format("  {} += v * {}{};\n", sum(p, oc), w, point_);
       }
     if (sums.empty()) return sums;
     const std::array<size_t, 2>& texels = map_.taps[tap];

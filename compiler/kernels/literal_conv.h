@@ -81,8 +81,8 @@ class LiteralConv {
   struct Sums {
     std::function<std::string(int64_t oc)> expression;
     bool doubles = false;  ///< their type is double
-    std::vector<int64_t> less =
-        {};  ///< by output channel, how far they are too low; nowhere if empty
+    /// By output channel how far they are too low; nowhere if empty.
+    std::vector<int64_t> less = {};
   };
   /// Appends bias, fused elementwise nodes and stores for channels [first, last) of the result at
   /// row y, column x, guarded where (y, x) may lie outside. `suffix` keeps the locals of unrolled

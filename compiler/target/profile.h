@@ -12,20 +12,20 @@ namespace shale {
 
 /// What the time of a dispatch is made of.
 enum class Work : uint8_t {
-  kDispatch,         ///< one per dispatch: launch and barrier
-  kCode,             ///< products in the code: fetched anew by every dispatch
-  kFloatProduct,     ///< float32 multiply and add by a literal, of all invocations; so below
-  kIntProduct,       ///< the same in int32
-  kPairProduct,  ///< the same in float64 of two packed tiles
-  kTransform,        ///< an element of those transforms
-  kFetch,            ///< a texel
-  kUnpack,           ///< a channel of a texel as a number
-  kResult,           ///< an element requantized and stored
-  kGenericMac,       ///< by the generic kernel, 1 per product
-  kGenericResult,    ///< an element by the generic kernel
-  kDotMac,           ///< by int8 dot products
-  kMatrixMac,        ///< by int8 cooperative matrices
-  kByte,             ///< read or written, at the memory's rate while the rest goes on
+  kDispatch,       ///< one per dispatch: launch and barrier
+  kCode,           ///< products in the code: fetched anew by every dispatch
+  kFloatProduct,   ///< float32 multiply and add by a literal, of all invocations; so below
+  kIntProduct,     ///< the same in int32
+  kPairProduct,    ///< the same in float64 of two packed tiles
+  kTransform,      ///< an element of those transforms
+  kFetch,          ///< a texel
+  kUnpack,         ///< a channel of a texel as a number
+  kResult,         ///< an element requantized and stored
+  kGenericMac,     ///< by the generic kernel, 1 per product
+  kGenericResult,  ///< an element by the generic kernel
+  kDotMac,         ///< by int8 dot products
+  kMatrixMac,      ///< by int8 cooperative matrices
+  kByte,           ///< read or written, at the memory's rate while the rest goes on
 };
 inline constexpr size_t kWorkCount = 14;
 
