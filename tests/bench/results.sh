@@ -1,8 +1,10 @@
 #!/bin/sh
 # Measures the device at hand and writes tests/bench/RESULTS.md: layer classes by kernel_bench, networks by
-# shale bench, each against the roof that was measured in the same run. Takes about twenty minutes on two cores.
+# shale bench, each against the roof that was measured in the same run. Takes about half an hour on two cores.
 #
-#   tests/bench/results.sh [BUILD_FOLDER]
+#   [MODELS="nss_v1_high ..."] tests/bench/results.sh [BUILD_FOLDER]
+#
+# MODELS are the networks of the table of sizes, all by default.
 set -eu
 cd "$(dirname "$0")/../.."
 build=${1:-build}
@@ -33,7 +35,7 @@ trap 'rm -f "$part" "$part.json"' EXIT
   echo "| network | rendered | ms | predicted | | close | GOP/s | roof |"
   echo "|---|---|---:|---:|---:|---:|---:|---:|"
   for size in 240x136 480x270 960x540 1920x1080; do
-    for model in nss_v1_high nss_v1_low nss_v0_1 srpo_x2 srpo_x3; do
+    for model in ${MODELS:-nss_v1_high nss_v1_low nss_v0_1 srpo_x2 srpo_x3}; do
       # The first run compiles, and leaves a warm processor and the driver's disk cache.
       "$build/tools/shale" bench models/$model --render $size --repeat 1 --json >"$part.json"
       "$build/tools/shale" bench models/$model --render $size --repeat 9 --json >"$part.json"
