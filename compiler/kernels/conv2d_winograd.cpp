@@ -98,8 +98,7 @@ class Winograd {
   KernelSource emit() {
     const int64_t out_channels = conv_.out()[3];
     std::string text;
-    const int64_t live = (out_channels + passes() - 1) / passes();
-    const int64_t step = (live + 3) / 4 * 4;  // results make words
+    const int64_t step = channels_per_loop(out_channels);
     for (int64_t first = 0; first < out_channels; first += step)
       text += pass(first, std::min(out_channels, first + step));
     return conv_.finish(tiling_, conv_.over_rows(tiling_, text));

@@ -417,12 +417,6 @@ int64_t channels_per_module(const LiteralConv& conv, const TapMap& map, int64_t 
   return fit >= kLiveSums ? fit / kLiveSums * kLiveSums : fit / 4 * 4;
 }
 
-/// Output channels of a loop over the rows, of `channels` in a module.
-int64_t channels_per_loop(int64_t channels) {
-  const int64_t loops = ceil_div(channels, kMostSums);
-  return ceil_div(ceil_div(channels, loops), 4) * 4;  // results make words
-}
-
 /// Pixels whose sums for so many output channels are live together.
 int64_t pixels_per_pass(int64_t channels) { return std::max<int64_t>(kLiveSums / channels, 1); }
 
@@ -508,6 +502,11 @@ class TapEmitter {
 };
 
 }  // namespace
+
+int64_t channels_per_loop(int64_t channels) {
+  const int64_t loops = ceil_div(channels, kMostSums);
+  return ceil_div(ceil_div(channels, loops), 4) * 4;
+}
 
 std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map,
                                     int64_t most_products) {

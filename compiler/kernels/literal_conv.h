@@ -137,6 +137,10 @@ class LiteralConv {
 /// Invocations along x that run, idle lanes included: they come in eights.
 int64_t literal_lanes(int64_t grid_x);
 
+/// Output channels whose sums are live together, of `channels` in a module: few and equal groups, in
+/// fours so that results make words.
+int64_t channels_per_loop(int64_t channels);
+
 /// What sums are made in.
 enum class Arithmetic {
   kInt32,       ///< any sums: TOSA's legal results wrap back into range

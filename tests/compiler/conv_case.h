@@ -383,30 +383,19 @@ inline std::vector<ConvCase> edge_conv_cases() {
   // More output channels than a module holds; zeros keep the modules small.
   cases.push_back(
       {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
-  // Products that leave the room of one tile of two in a double, but not float32.
-  cases.push_back({.name = "beyond_pair",
-                   .h = 1,
-                   .w = 2,
-                   .ic = 300,
-                   .oc = 1,
-                   .kh = 1,
-                   .kw = 1,
-                   .pad = {0, 0, 0, 0},
-                   .epilogue = Epilogue::kNone,
-                   .weight_min = -128,
-                   .weight_max = -128});
-  // Products that leave the integers that float32 holds.
-  cases.push_back({.name = "beyond_float",
-                   .h = 1,
-                   .w = 2,
-                   .ic = 1028,
-                   .oc = 1,
-                   .kh = 1,
-                   .kw = 1,
-                   .pad = {0, 0, 0, 0},
-                   .epilogue = Epilogue::kNone,
-                   .weight_min = -128,
-                   .weight_max = -128});
+  // Products that leave the room of one tile of two in a double, and the integers that float32 holds.
+  for (const int64_t ic : {300, 1028})
+    cases.push_back({.name = ic == 300 ? "beyond_pair" : "beyond_float",
+                     .h = 1,
+                     .w = 2,
+                     .ic = ic,
+                     .oc = 1,
+                     .kh = 1,
+                     .kw = 1,
+                     .pad = {0, 0, 0, 0},
+                     .epilogue = Epilogue::kNone,
+                     .weight_min = -128,
+                     .weight_max = -128});
   return cases;
 }
 
