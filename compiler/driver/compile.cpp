@@ -4,6 +4,7 @@
 #include <cctype>
 #include <chrono>
 #include <map>
+#include <numeric>
 #include <set>
 
 #include "compiler/cost/cost.h"
@@ -93,6 +94,7 @@ class VariantBuilder {
     } else {
       SHALE_TRY_VOID(add_graph());
     }
+    SHALE_TRY_VOID(build_modules());
     place_intermediates();
     add_requirements();
     if (options_.frame) SHALE_TRY_VOID(add_views());
@@ -148,23 +150,64 @@ class VariantBuilder {
     return static_cast<uint32_t>(variant_.resources.size() - 1);
   }
 
+  /// A shader to be compiled.
+  struct Source {
+    std::string glsl;
+    OptimizeBy optimize = OptimizeBy::kSpirvOpt;
+    Defines defines;
+    std::string where;
+    IncludeLoader load;
+  };
+  /// Its place among the sources, which stands for the module until build_modules.
+  uint32_t add_source(Source source) {
+    sources_.push_back(std::move(source));
+    return static_cast<uint32_t>(sources_.size() - 1);
+  }
+
   /// A source as SPIR-V, and what it asks of the device. May run on any thread.
   struct Module {
     Spirv words;
     SpirvNeeds needs;
   };
-  Result<Module> build_module(const KernelSource& source, const Defines& defines,
-                              const std::string& where, const IncludeLoader& load = {}) const {
+  Result<Module> build_module(const Source& source) const {
     Module module;
-    SHALE_TRY(module.words, compile_glsl(source.glsl, defines, where, load));
+    SHALE_TRY(module.words, compile_glsl(source.glsl, source.defines, source.where, source.load));
     if (source.optimize == OptimizeBy::kForwarding) {
       module.words = forward_locals(module.words);
     } else if (source.optimize == OptimizeBy::kSpirvOpt && options_.optimize_spirv) {
-      SHALE_TRY(module.words, optimize_spirv(module.words, where));
+      SHALE_TRY(module.words, optimize_spirv(module.words, source.where));
     }
-    SHALE_TRY_VOID(validate_spirv(module.words, where));
-    SHALE_TRY(module.needs, spirv_needs(module.words, where));
+    // A third of the time where thousands of products stand in the code.
+    if (source.optimize != OptimizeBy::kForwarding || options_.pass_options.verify_each)
+      SHALE_TRY_VOID(validate_spirv(module.words, source.where));
+    SHALE_TRY(module.needs, spirv_needs(module.words, source.where));
     return module;
+  }
+
+  /// Compiles all sources on all cores, the long ones first. Modules lie in the order of the sources, so
+  /// that the same model gives the same bytes.
+  Result<void> build_modules() {
+    std::vector<size_t> order(sources_.size());
+    std::iota(order.begin(), order.end(), size_t{0});
+    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) {
+      return sources_[a].glsl.size() > sources_[b].glsl.size();
+    });
+    std::vector<Result<Module>> modules(sources_.size(), Module{});
+    const auto proceed = [&](size_t done) {
+      return !options_.progress || options_.progress(done, sources_.size());
+    };
+    if (!parallel_for(
+            order.size(), [&](size_t i) { modules[order[i]] = build_module(sources_[order[i]]); },
+            proceed))
+      return bad_input("", "interrupted");
+    std::vector<uint32_t> indices;
+    for (Result<Module>& module : modules) {
+      if (!module) return module.error();
+      indices.push_back(add_module(*std::move(module)));
+    }
+    for (Segment& segment : variant_.segments)
+      for (Dispatch& dispatch : segment.dispatches) dispatch.module = indices[dispatch.module];
+    return {};
   }
 
   /// Equal modules lie in the package once.
@@ -186,7 +229,6 @@ class VariantBuilder {
     WorkTable work{};
     std::vector<KernelSource> sources;
     std::vector<std::string> names;
-    std::vector<size_t> modules;  ///< indices of unique sources
   };
 
   Result<Emitted> emit_group(const GroupProblem& problem) const {
@@ -216,40 +258,15 @@ class VariantBuilder {
     Segment segment;
     segment.name = "graph";
     segment.kind = SegmentKind::kGraph;
-    // Emitting and compiling run on all cores, and equal sources are compiled once; the package is put
-    // together in the graph's order, so that the same model gives the same bytes.
     std::vector<Result<Emitted>> groups(problems_.size(), Emitted{});
     parallel_for(groups.size(), [&](size_t i) { groups[i] = emit_group(problems_[i]); });
-    std::map<std::string_view, size_t> module_of_source;
-    std::vector<std::pair<const KernelSource*, const std::string*>> unique;
-    for (Result<Emitted>& group : groups) {
-      if (!group) return group.error();
-      for (size_t part = 0; part < group->sources.size(); ++part) {
-        const auto [entry, is_new] =
-            module_of_source.try_emplace(group->sources[part].glsl, unique.size());
-        if (is_new) unique.emplace_back(&group->sources[part], &group->names[part]);
-        group->modules.push_back(entry->second);
-      }
-    }
-    std::vector<Result<Module>> modules(unique.size(), Module{});
-    const auto proceed = [&](size_t done) {
-      return !options_.progress || options_.progress(done, unique.size());
-    };
-    if (!parallel_for(
-            unique.size(),
-            [&](size_t i) { modules[i] = build_module(*unique[i].first, {}, *unique[i].second); },
-            proceed))
-      return bad_input("", "interrupted");
-    std::vector<uint32_t> indices;
-    for (Result<Module>& module : modules) {
-      if (!module) return module.error();
-      indices.push_back(add_module(*std::move(module)));
-    }
+    std::map<std::string, uint32_t> compiled;  // equal sources are compiled once
     for (size_t i = 0; i < groups.size(); ++i) {
+      if (!groups[i]) return groups[i].error();
       const GroupProblem& problem = problems_[i];
-      const Emitted& group = *groups[i];
+      Emitted& group = *groups[i];
       for (size_t part = 0; part < group.sources.size(); ++part) {
-        const KernelSource& source = group.sources[part];
+        KernelSource& source = group.sources[part];
         Dispatch dispatch;
         dispatch.name = group.names[part];
         dispatch.kernel = group.family->name;
@@ -257,7 +274,14 @@ class VariantBuilder {
         WorkTable& work = work_.emplace_back(group.work);
         for (double& amount : work) amount /= static_cast<double>(group.sources.size());
         dispatch.cost = share(problem.cost, work_time_us(work, profile_.ns), group.sources.size());
-        dispatch.module = indices[group.modules[part]];
+        const auto [known, is_new] = compiled.try_emplace(source.glsl, 0);
+        if (is_new)
+          known->second = add_source({.glsl = std::move(source.glsl),
+                                      .optimize = source.optimize,
+                                      .defines = {},
+                                      .where = dispatch.name,
+                                      .load = {}});
+        dispatch.module = known->second;
         for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
           const KernelBinding& from = source.bindings[binding];
           const bool is_texels = from.type == BindingType::kUniformTexelBuffer;
@@ -270,8 +294,7 @@ class VariantBuilder {
                .reads = !from.writes,
                .writes = from.writes,
                .frames_back = 0});
-          if (from.constant.empty())
-            if (from.constant.empty()) touch(from.value, static_cast<uint32_t>(dispatch_count_));
+          if (from.constant.empty()) touch(from.value, static_cast<uint32_t>(dispatch_count_));
         }
         ++dispatch_count_;
         segment.dispatches.push_back(std::move(dispatch));
@@ -455,19 +478,17 @@ class VariantBuilder {
         1e-3 * (static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) *
                     profile_.ns[Work::kByte] +
                 profile_.ns[Work::kDispatch]);
-    KernelSource source;
+    Source source;
     SHALE_TRY(source.glsl, options_.load_shader(pass.shader));
-    Defines defines = frame_defines();
-    defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
-    defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));
-    defines.insert(defines.end(), pass.defines.begin(), pass.defines.end());
+    source.where = pass.shader;
+    source.defines = frame_defines();
+    source.defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
+    source.defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));
+    source.defines.insert(source.defines.end(), pass.defines.begin(), pass.defines.end());
     // Includes lie beside the shader.
-    const std::string folder = pass.shader.substr(0, pass.shader.rfind('/') + 1);
-    SHALE_TRY(Module module,
-              build_module(source, defines, pass.shader, [&](const std::string& name) {
-                return options_.load_shader(folder + name);
-              }));
-    dispatch.module = add_module(std::move(module));
+    source.load = [this, folder = pass.shader.substr(0, pass.shader.rfind('/') + 1)](
+                      const std::string& name) { return options_.load_shader(folder + name); };
+    dispatch.module = add_source(std::move(source));
     Segment segment;
     segment.name = pass.name;
     segment.kind = SegmentKind::kCompute;
@@ -497,6 +518,7 @@ class VariantBuilder {
   std::map<ValueId, uint32_t> resource_of_;
   std::map<ValueId, LiveInterval> live_;
   std::vector<WorkTable> work_;
+  std::vector<Source> sources_;
   size_t dispatch_count_ = 0;
   uint64_t lower_bound_ = 0;
 };

@@ -231,9 +231,11 @@ Result<FrameBinding> parse_binding(const Fields& fields) {
     SHALE_TRY(const std::string format, fields.text("texels"));
     binding.texels = image_format_from_name(format).value_or(ImageFormat::kNone);
     if (binding.is_image || binding.writes ||
-        (binding.texels != ImageFormat::kRgba8Sint && binding.texels != ImageFormat::kR8Sint))
+        (binding.texels != ImageFormat::kRgba8Sint && binding.texels != ImageFormat::kR8Sint &&
+         binding.texels != ImageFormat::kR32Uint))
       return bad_input(fields.where(),
-                       "\"texels\" is for tensors that are read, as rgba8_sint or r8_sint");
+                       "\"texels\" is for tensors that are read, as rgba8_sint, r8_sint or "
+                       "r32_uint");
   }
   SHALE_TRY(const int64_t back, fields.integer("frames_back", 0, kMaxHistory - 1, 0));
   binding.frames_back = static_cast<uint32_t>(back);

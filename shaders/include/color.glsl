@@ -7,6 +7,13 @@
 
 const float kMaxColor = 65504.0;  // the largest half
 
+// min and max for at most one negative operand, of which -NaN is one; NaN is above all others. Bits of floats are ordered
+// as integers then: one instruction on a CPU, where min() takes three to see to NaN.
+float least(float a, float b) { return intBitsToFloat(min(floatBitsToInt(a), floatBitsToInt(b))); }
+float most(float a, float b) { return intBitsToFloat(max(floatBitsToInt(a), floatBitsToInt(b))); }
+vec3 least(vec3 a, vec3 b) { return intBitsToFloat(min(floatBitsToInt(a), floatBitsToInt(b))); }
+vec3 most(vec3 a, vec3 b) { return intBitsToFloat(max(floatBitsToInt(a), floatBitsToInt(b))); }
+
 bool is_nan(float x) { return (floatBitsToUint(x) & 0x7fffffffu) > 0x7f800000u; }
 
 /// x in [low, high]; `instead` for NaN.
@@ -17,13 +24,15 @@ vec3 finite_color(vec3 c) {
               finite_in(c.b, 0.0, kMaxColor, 0.0));
 }
 
-vec3 exposed(vec3 c, float exposure) { return min(c * exposure, kMaxColor); }
+vec3 exposed(vec3 c, float exposure) { return least(c * exposure, vec3(kMaxColor)); }
 
-float largest(vec3 c) { return max(c.r, max(c.g, c.b)); }
+float largest(vec3 c) { return most(c.r, most(c.g, c.b)); }
 
 /// [0, inf) to [0, 1).
-vec3 karis(vec3 x) { return x / (1.0 + largest(x)); }
-vec3 karis_inverse(vec3 x) { return min(x / (1.0 - min(largest(x), 1.0 - 1e-7)), kMaxColor); }
+vec3 karis(vec3 x) { return x * (1.0 / (1.0 + largest(x))); }
+vec3 karis_inverse(vec3 x) {
+  return least(x * (1.0 / (1.0 - least(largest(x), 1.0 - 1e-7))), vec3(kMaxColor));
+}
 
 /// x: luma; y, z: chroma. YCoCg with the lifting of nss.md section 2.5.
 vec3 ycocg(vec3 c) {

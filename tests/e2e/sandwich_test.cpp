@@ -476,7 +476,8 @@ TEST_F(TrainedTest, DamageIsGoneAfterSixteenFrames) {
     float worst = 0;
     for (size_t i = 0; i < found.values.size(); ++i)
       worst = std::max(worst, std::abs(found.values[i] - expected.values[i]));
-    EXPECT_LE(worst, 4.5f / 255) << "what is left of nine bad texels, " << kGone << " frames later";
+    // Four codes, and one since both pictures are rounded to 8 bits.
+    EXPECT_LE(worst, 5.5f / 255) << "what is left of nine bad texels, " << kGone << " frames later";
   }
 }
 

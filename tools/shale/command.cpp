@@ -263,7 +263,7 @@ void CompileArguments::add_to(CLI::App& app) {
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_flag("--no-passes", no_passes, "skip every pass that is not needed to compile");
-  app.add_flag("--verify-each", verify_each, "verify the graph after each pass");
+  app.add_flag("--verify-each", verify_each, "verify the graph after each pass, and all shaders");
   app.add_flag("--require-proof", require_proof,
                "refuse convolutions whose accumulators cannot be bounded");
   app.add_flag("--no-spirv-opt", no_spirv_opt, "leave the shaders as glslang made them");

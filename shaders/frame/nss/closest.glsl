@@ -1,4 +1,4 @@
-// shaders/frame/nss/closest.glsl -- the closest depth around each texel of a 2x2 tile.
+// shaders/frame/nss/closest.glsl -- the closest depth around each texel of a 2x2 tile. Expects the image `depth`.
 //
 // Offsets of a window lie in [-1, CLOSEST_LAST] on both axes; the centre wins a tie, then the first in rows. Windows of
 // neighbours overlap, so a tile reads each depth once, and a window is the closest of its rows' closest.
@@ -12,7 +12,7 @@ struct Closest {
 };
 
 /// base: upper left texel of the tile; [y][x].
-void closest_in_tile(texture2D depth, ivec2 base, out Closest closest[2][2]) {
+void closest_in_tile(ivec2 base, out Closest closest[2][2]) {
   // Away from the camera, whichever way depth runs.
   const float away = params.reverse_depth != 0 ? -1.0 : 1.0;
   float row_best[kReach][2], middle[2][2];
@@ -20,7 +20,7 @@ void closest_in_tile(texture2D depth, ivec2 base, out Closest closest[2][2]) {
   [[unroll]] for (int y = 0; y < kReach; ++y) {
     float row[kReach];
     [[unroll]] for (int x = 0; x < kReach; ++x)
-      row[x] = away * finite_depth(texelFetch(depth, inside(base + ivec2(x, y) - 1, kRender), 0).r);
+      row[x] = away * imageLoad(depth, inside(base + ivec2(x, y) - 1, kRender)).r;
     [[unroll]] for (int lane = 0; lane < 2; ++lane) {
       row_best[y][lane] = row[lane];
       row_x[y][lane] = lane;

@@ -7,7 +7,7 @@
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D depth;
+layout(set = 0, binding = 0, r32f) readonly uniform image2D depth;  // of check.comp
 layout(set = 0, binding = 1) uniform texture2D motion;
 layout(set = 0, binding = 2, r32ui) readonly uniform uimage2D scatter;
 layout(set = 0, binding = 3, r8) writeonly uniform image2D disocclusion;
@@ -17,12 +17,12 @@ void main() {
   const ivec2 block = ivec2(gl_GlobalInvocationID.xy);
   if (block.x >= DISOCCLUSION_WIDTH || block.y >= DISOCCLUSION_HEIGHT) return;
   ivec2 from = block * 4;
-  float closest = finite_depth(texelFetch(depth, from, 0).r);
+  float closest = imageLoad(depth, from).r;
   float farthest = closest;
   for (int i = 1; i < 16; ++i) {
     const ivec2 at = block * 4 + ivec2(i & 3, i >> 2);
     if (any(greaterThanEqual(at, kRender))) continue;
-    const float d = finite_depth(texelFetch(depth, at, 0).r);
+    const float d = imageLoad(depth, at).r;
     if (closer(d, closest)) {
       closest = d;
       from = at;

@@ -27,9 +27,10 @@ CatmullRom catmull_rom(vec2 f) {
 /// The five taps as one, in 0..1. Where a channel comes out negative, all are clamped to the taps.
 vec3 combine(CatmullRom w, vec3 centre, vec3 left, vec3 right, vec3 up, vec3 down) {
   const vec3 sum = w.centre * centre + w.left * left + w.right * right + w.up * up + w.down * down;
-  const vec3 low = min(centre, min(min(left, right), min(up, down)));
-  const vec3 high = max(centre, max(max(left, right), max(up, down)));
-  return clamp(any(lessThan(sum, vec3(0.0))) ? clamp(sum, low, high) : sum, 0.0, 1.0);
+  const vec3 low = least(centre, least(least(left, right), least(up, down)));
+  const vec3 high = most(centre, most(most(left, right), most(up, down)));
+  const vec3 kept = any(lessThan(sum, vec3(0.0))) ? least(most(sum, low), high) : sum;
+  return least(most(kept, vec3(0.0)), vec3(1.0));
 }
 
 /// The history at uv and at its neighbours one texel to the right and below, [y][x], in 0..1.

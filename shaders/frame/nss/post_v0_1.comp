@@ -25,6 +25,7 @@ layout(set = 0, binding = 8) uniform itextureBuffer k3;
 layout(set = 0, binding = 9, rgba16f) writeonly uniform image2D shown;
 layout(set = 0, binding = 10, rgba16f) writeonly uniform image2D new_history;
 #include "history.glsl"
+vec3 sample_at(ivec2 at) { return imageLoad(mapped, at).rgb; }
 #include "quad.glsl"
 
 const ivec2 kPadded = ivec2(TEMPORAL_WIDTH, TEMPORAL_HEIGHT);
@@ -136,13 +137,13 @@ void pixel_at(ivec2 at) {
     [[unroll]] for (int iy = 0; iy < KERNEL; ++iy) {
       if ((x.cells >> ix & 1u) == 0u || (y.cells >> iy & 1u) == 0u) continue;
       const ivec2 texel = inside(ivec2(texel_at(x, ix), texel_at(y, iy)), kRender);
-      add_sample(sum, ix, iy, max(columns[ix][iy], 1e-7), imageLoad(mapped, texel).rgb);
+      add_sample(sum, ix, iy, max(columns[ix][iy], 1e-7), sample_at(texel));
     }
   }
   if (sum.weight == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum.first = imageLoad(mapped, texel).rgb;
+    sum.first = sample_at(texel);
     sum.weight = 1.0;
   }
   const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);

@@ -6,7 +6,7 @@
 // ones: a display shows means of it. Output and history are linear, with the exposure removed.
 // KERNEL 6 and TAPS 9 (HIGH) or 4 and 4 (MID, LOW); KPN_SHIFT: render texel >> shift is the texel of the kernel tensor;
 // CATMULL_ROM 1 or 0 chooses the filter of the history; WEIGHT_FLOOR is the least weight.
-// `mapped` and `dilated` come from pre_v1.comp.
+// `checked_color` comes from check.comp, `dilated` from pre_v1.comp.
 // Source: nss.md sections 3.1, 3.2, 3.4; tools/train/nss_passes.py computes the same.
 #version 450
 #extension GL_EXT_control_flow_attributes : require
@@ -14,14 +14,15 @@
 #include "taps.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0, rgba32f) readonly uniform image2D mapped;
+layout(set = 0, binding = 0, rgba16f) readonly uniform image2D checked_color;
 layout(set = 0, binding = 1, rg16f) readonly uniform image2D dilated;
 HISTORY_IMAGE(3, history, rgba16f);                            // one frame back
 layout(set = 0, binding = 4) uniform itextureBuffer temporal;  // 4 channels a texel
-layout(set = 0, binding = 5) uniform itextureBuffer kernel;    // 1 channel a texel
+layout(set = 0, binding = 5) uniform utextureBuffer kernel;    // 4 channels a texel
 layout(set = 0, binding = 6, rgba16f) writeonly uniform image2D shown;
 layout(set = 0, binding = 7, rgba16f) writeonly uniform image2D new_history;
 #include "history.glsl"
+vec3 sample_at(ivec2 at) { return karis(exposed(imageLoad(checked_color, at).rgb, params.exposure)); }
 #include "quad.glsl"
 
 const ivec2 kPadded = ivec2(TEMPORAL_WIDTH, TEMPORAL_HEIGHT);
@@ -34,11 +35,12 @@ struct Filtered {
   float has_centre;  // 1 if a sample lies on the pixel
 };
 
-/// Weight of the sample of a render texel at kernel cell (ix, iy).
-float weight_at(ivec2 texel, int ix, int iy) {
-  const ivec2 cell = min(texel >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
-  const int index = (cell.y * KERNEL_WIDTH + cell.x) * KERNEL_CHANNELS + iy + KERNEL * ix;
-  return max(float(texelFetch(kernel, index).r - KERNEL_ZERO_POINT) * float(KERNEL_SCALE), float(WEIGHT_FLOOR));
+// The kernel of a texel of the tensor is column-major: byte iy + KERNEL * ix is the weight of cell (ix, iy). Weights are
+// relative to KERNEL_SCALE: only their ratios count.
+int kernel_texel(ivec2 cell) { return (cell.y * KERNEL_WIDTH + cell.x) * (KERNEL_CHANNELS / 4); }
+float weight_of(uint word, int byte) {
+  const float u = float((word ^ 0x80808080u) >> byte % 4 * 8 & 255u);
+  return most(u - float(KERNEL_ZERO_POINT + 128), float(WEIGHT_FLOOR) / float(KERNEL_SCALE));
 }
 
 void add_sample(inout Filtered sum, int ix, int iy, float weight, vec3 c) {
@@ -59,11 +61,12 @@ vec4 shown_color(Filtered sum, vec3 parameters, vec3 past, vec2 before) {
   const float toward = parameters.x * parameters.x, away = (1.0 - parameters.x) * (1.0 - parameters.x);
   const float theta = toward / (toward + away);
   const float alpha = 0.35 * parameters.y + 0.05;
-  const vec3 sigma = 2.0 * parameters.z * sqrt(max(abs(sum.second * scale - mean * mean), 1e-7));
-  vec3 mixed = mix(clamp(past, mean - sigma, mean + sigma), past, on_screen(before) ? theta : 0.0);
+  const vec3 sigma = 2.0 * parameters.z * sqrt(most(abs(sum.second * scale - mean * mean), vec3(1e-7)));
+  const vec3 rectified = least(most(past, mean - sigma), mean + sigma);
+  vec3 mixed = mix(rectified, past, on_screen(before) ? theta : 0.0);
   mixed = mix(mixed, sum.centre, alpha * sum.has_centre);
   mixed = params.reset != 0 ? mean : mixed;  // chosen, not multiplied: the history may hold anything then
-  return vec4(min(karis_inverse(mixed) * (1.0 / params.exposure), kMaxColor), 1.0);
+  return vec4(least(karis_inverse(mixed) * (1.0 / params.exposure), vec3(kMaxColor)), 1.0);
 }
 
 void show(ivec2 pixel, vec4 color) {
@@ -77,6 +80,11 @@ vec3 parameter_texel(ivec2 at) {
 }
 
 #if IS_DOUBLE
+#if KERNEL / 2 > (1 << KPN_SHIFT)
+#error "the samples of a kernel must lie in two rows of kernel texels"
+#endif
+const int kColumnWords = (KERNEL % 4 + KERNEL + 3) / 4;  // that hold a column of a kernel
+
 /// The network's parameters at the four pixels of render texel m.
 void parameters_of_quad(ivec2 m, out vec3 parameters[2][2]) {
   const QuadPlace place = quad_place(m, kNetwork);
@@ -106,15 +114,30 @@ void main() {
   parameters_of_quad(m, parameters);
   const Quad quad = quad_at(m);
   quad_samples(quad, samples);
-  [[unroll]] for (int oy = 0; oy < 2; ++oy) {
-    [[unroll]] for (int ox = 0; ox < 2; ++ox) {
+  // The samples lie in two rows of kernel texels at most: both are read, a word for up to four weights.
+  int cell_x[kTaps + 1], cell_y[kTaps + 1];
+  [[unroll]] for (int i = 0; i <= kTaps; ++i) {
+    const ivec2 cell = min(inside(quad.first + i, kRender) >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
+    cell_x[i] = cell.x, cell_y[i] = cell.y;
+  }
+  [[unroll]] for (int ox = 0; ox < 2; ++ox) {
+    uint words[kTaps][2][kColumnWords];
+    [[unroll]] for (int x = 0; x < kTaps; ++x) {
+      const int column = ox == 1 && quad.apart.x != 0 ? cell_x[x + 1] : cell_x[x];
+      [[unroll]] for (int i = 0; i < kColumnWords; ++i) {
+        const int word = KERNEL * (2 * x + ox) / 4 + i;
+        words[x][0][i] = texelFetch(kernel, kernel_texel(ivec2(column, cell_y[0])) + word).r;
+        words[x][1][i] = texelFetch(kernel, kernel_texel(ivec2(column, cell_y[kTaps])) + word).r;
+      }
+    }
+    [[unroll]] for (int oy = 0; oy < 2; ++oy) {
       Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), vec3(0.0), 0.0);
-      const ivec2 first = quad.first + quad.apart * ivec2(ox, oy);
       [[unroll]] for (int y = 0; y < kTaps; ++y) {
+        const bool is_below = (oy == 1 && quad.apart.y != 0 ? cell_y[y + 1] : cell_y[y]) != cell_y[0];
         [[unroll]] for (int x = 0; x < kTaps; ++x) {
-          const int ix = 2 * x + ox, iy = 2 * y + oy;
-          add_sample(sum, ix, iy, weight_at(inside(first + ivec2(x, y), kRender), ix, iy),
-                     quad_sample(quad, samples, ox, oy, x, y));
+          const int ix = 2 * x + ox, iy = 2 * y + oy, byte = KERNEL * ix % 4 + iy;
+          const uint word = is_below ? words[x][1][byte / 4] : words[x][0][byte / 4];
+          add_sample(sum, ix, iy, weight_of(word, byte), quad_sample(quad, samples, ox, oy, x, y));
         }
       }
       const ivec2 pixel = quad_pixel(quad, ox, oy);
@@ -126,7 +149,10 @@ void main() {
 #else
 void add_texel(inout Filtered sum, int ix, int iy, ivec2 texel) {
   const ivec2 at = inside(texel, kRender);
-  add_sample(sum, ix, iy, weight_at(at, ix, iy), imageLoad(mapped, at).rgb);
+  const ivec2 cell = min(at >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
+  const int byte = iy + KERNEL * ix;
+  const uint word = texelFetch(kernel, kernel_texel(cell) + byte / 4).r;
+  add_sample(sum, ix, iy, weight_of(word, byte), sample_at(at));
 }
 
 #if OUTPUT_WIDTH < 2 * COLOR_WIDTH || OUTPUT_HEIGHT < 2 * COLOR_HEIGHT
@@ -183,7 +209,7 @@ void pixel_at(ivec2 at) {
   if (sum.weight == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum.first = imageLoad(mapped, texel).rgb;
+    sum.first = sample_at(texel);
     sum.second = sum.first * sum.first;
     sum.weight = 1.0;
   }

@@ -4,7 +4,7 @@
 //   0-2 history, reprojected, Karis    3-5 current colour without jitter, Karis    6 speed of motion
 //   7-10 feedback, reprojected         11 instability
 // and the new state of the instability; and what the post pass would compute again for each of its pixels: `dilated`,
-// the motion where the closest depth is, and `mapped`, the colours in the exposed Karis domain.
+// the motion where the closest depth is. Colour and depth come from check.comp.
 // An invocation takes 2x2 render texels, whose neighbourhoods overlap.
 // SIDE 1 (HIGH): a network texel is a render texel; an invocation makes 2x2.
 // SIDE 2 (MID, LOW): it is 2x2 of them, each reprojected for itself; disocclusion comes from disocclusion.comp.
@@ -13,8 +13,6 @@
 #extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 #include "instability.glsl"
-#define CLOSEST_LAST 2
-#include "closest.glsl"
 
 #if SIDE == 1
 #define WORDS uvec2  // two texels are three of them
@@ -23,8 +21,8 @@
 #endif
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1) uniform texture2D depth;
+layout(set = 0, binding = 0, rgba16f) readonly uniform image2D color;
+layout(set = 0, binding = 1, r32f) readonly uniform image2D depth;
 layout(set = 0, binding = 2) uniform texture2D motion;
 HISTORY_IMAGE(3, history, rgba16f);    // one frame back
 HISTORY_IMAGE(4, state, rgba8_snorm);  // one frame back
@@ -32,7 +30,8 @@ layout(set = 0, binding = 5) uniform itextureBuffer feedback;  // the tensor "te
 layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { WORDS words[]; } network_input;
 layout(set = 0, binding = 8, rgba8_snorm) writeonly uniform image2D new_state;
 layout(set = 0, binding = 9, rg16f) writeonly uniform image2D dilated;
-layout(set = 0, binding = 10, rgba32f) writeonly uniform image2D mapped;
+#define CLOSEST_LAST 2
+#include "closest.glsl"
 #if SIDE == 1
 layout(set = 0, binding = 6, r32ui) readonly uniform uimage2D scatter;
 #include "scattered.glsl"
@@ -43,9 +42,7 @@ layout(set = 0, binding = 6, r8) readonly uniform image2D disocclusion;
 const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
 const ivec2 kNetwork = (kRender + SIDE - 1) / SIDE;
 
-vec3 exposed_texel(ivec2 at) {
-  return exposed(finite_color(texelFetch(color, inside(at, kRender), 0).rgb), params.exposure);
-}
+vec3 exposed_texel(ivec2 at) { return exposed(imageLoad(color, inside(at, kRender)).rgb, params.exposure); }
 
 vec3 history_at(vec2 uv) {
   const Bilinear b = bilinear_at(uv, kOutput);
@@ -109,7 +106,7 @@ void main() {
   const ivec2 base = min(from, to);
 
   Closest closest[2][2];
-  closest_in_tile(depth, base, closest);
+  closest_in_tile(base, closest);
 
   // Without jitter all texels lie at the same place between four samples: exposed colours around the tile, bilinear
   // between them, and the work colours of the tile with its four sides.
@@ -145,13 +142,7 @@ void main() {
                                at.x < kRender.x - 1 ? color_distance(own, work[y + 1][x + 2]) : 0.0,
                                at.x > 0 ? color_distance(own, work[y + 1][x]) : 0.0);
       texels[y][x] = network_texel(history_at(before), moved, before, hidden, now[y + 1][x + 1], own, around);
-      // `shift` is 0 or -1, so the colour of the texel is among the samples.
-      const vec3 color = shift.y == 0 ? (shift.x == 0 ? samples[y + 1][x + 1] : samples[y + 1][x + 2])
-                                      : (shift.x == 0 ? samples[y + 2][x + 1] : samples[y + 2][x + 2]);
-      if (at.x < kRender.x && at.y < kRender.y && all(equal(first, base))) {
-        imageStore(dilated, at, vec4(raw, 0.0, 0.0));
-        imageStore(mapped, at, vec4(karis(color), 0.0));
-      }
+      if (at.x < kRender.x && at.y < kRender.y && all(equal(first, base))) imageStore(dilated, at, vec4(raw, 0.0, 0.0));
     }
   }
 #if COLOR_WIDTH % 2 == 1
@@ -202,7 +193,7 @@ void main() {
   const vec2 uv = (vec2(at) + 0.5) / vec2(kNetwork);
 
   Closest closest[2][2];
-  closest_in_tile(depth, 2 * at, closest);
+  closest_in_tile(2 * at, closest);
   // At an odd border the tile's second column or row is its first.
 #if COLOR_WIDTH % 2 == 1
   if (2 * at.x + 1 == kRender.x) closest[0][1] = closest[0][0], closest[1][1] = closest[1][0];
@@ -223,10 +214,8 @@ void main() {
       const bool leads = (x == 0 && y == 0) || away * closest[y][x].depth < away * nearest;
       nearest = leads ? closest[y][x].depth : nearest;
       moved = leads ? lane_moved : moved;
-      if (all(lessThan(padded, kNetwork))) {  // at an odd border some are written twice, alike
-        imageStore(dilated, lane, vec4(raw, 0.0, 0.0));
-        imageStore(mapped, lane, vec4(karis(exposed_texel(lane)), 0.0));
-      }
+      // At an odd border some are written twice, alike.
+      if (all(lessThan(padded, kNetwork))) imageStore(dilated, lane, vec4(raw, 0.0, 0.0));
     }
   }
   const vec3 now = current(at), work = work_color(now);

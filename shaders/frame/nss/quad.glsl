@@ -3,7 +3,7 @@
 // Along one axis, with `shift` as in axis_at, sample l lies in output cell 2 * l + shift. Of the two pixels, one has
 // its samples in the even cells of its kernel, the other in the odd ones; called so, each has samples in fixed cells:
 // the k-th in cell 2 * k + odd. With t = shift + KERNEL / 2 - 1 - odd, it is pixel t & 1, and its first sample is that
-// of render texel m - (t >> 1).
+// of render texel m - (t >> 1). Expects `sample_at`, the colour of a sample.
 #define IS_DOUBLE (OUTPUT_WIDTH == 2 * COLOR_WIDTH && OUTPUT_HEIGHT == 2 * COLOR_HEIGHT)
 
 const int kTaps = KERNEL / 2;  // per axis
@@ -31,7 +31,7 @@ vec3 of_pixel(vec3 values[2][2], ivec2 pixel) {
 void quad_samples(Quad quad, out vec3 samples[kTaps + 1][kTaps + 1]) {
   [[unroll]] for (int y = 0; y <= kTaps; ++y)
     [[unroll]] for (int x = 0; x <= kTaps; ++x)
-      samples[y][x] = imageLoad(mapped, inside(quad.first + ivec2(x, y), kRender)).rgb;
+      samples[y][x] = sample_at(inside(quad.first + ivec2(x, y), kRender));
 }
 
 /// The x-th and y-th of one pixel.

@@ -10,7 +10,7 @@
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D depth;
+layout(set = 0, binding = 0, r32f) readonly uniform image2D depth;  // of check.comp
 layout(set = 0, binding = 1) uniform texture2D motion;
 layout(set = 0, binding = 2, r32ui) uniform uimage2D scatter;
 
@@ -20,11 +20,11 @@ void main() {
   const ivec2 block = ivec2(gl_GlobalInvocationID.xy);
   if (block.x >= kScatter.x || block.y >= kScatter.y) return;
   ivec2 from = block * BLOCK;
-  float closest = finite_depth(texelFetch(depth, from, 0).r);
+  float closest = imageLoad(depth, from).r;
   [[unroll]] for (int i = 1; i < BLOCK * BLOCK; ++i) {
     const ivec2 at = block * BLOCK + ivec2(i % BLOCK, i / BLOCK);
     if (any(greaterThanEqual(at, kRender))) continue;
-    const float d = finite_depth(texelFetch(depth, at, 0).r);
+    const float d = imageLoad(depth, at).r;
     if (closer(d, closest)) {
       closest = d;
       from = at;
