@@ -62,6 +62,9 @@ class Winograd {
 
   int64_t products() const { return 16 * conv_.weight_shape()[0] * conv_.weight_shape()[3]; }
 
+  /// In parts the driver takes as many times longer for a product: more is live at a time.
+  int64_t literals() const { return products() * std::max<int64_t>(parts_, 1); }
+
   WorkTable work() const {
     const Shape& out = conv_.out();
     const auto [height, width] = conv_.tiles(tiling_);
@@ -76,7 +79,8 @@ class Winograd {
         tiles *
         static_cast<double>(16 * (in_channels * passes() + out[3] * std::max<int64_t>(parts_, 1)));
     work[Work::kFetch] = tiles * conv_.fetches(tiling_);
-    work[Work::kResult] = tiles * static_cast<double>(8 * out[3]);
+    // Each part is taken apart into its eight results a channel.
+    work[Work::kResult] = tiles * static_cast<double>(8 * out[3] * std::max<int64_t>(parts_, 1));
     return work;
   }
 
@@ -285,7 +289,7 @@ bool conv2d_winograd_supports(const GroupProblem& problem, const DeviceProfile& 
 }
 
 int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfile&) {
-  return Winograd(problem).products();
+  return Winograd(problem).literals();
 }
 
 WorkTable conv2d_winograd_work(const GroupProblem& problem) {

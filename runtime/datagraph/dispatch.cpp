@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 
 #include "ir/base/parallel.h"
 #include "runtime/vk/commands.h"
@@ -158,7 +159,14 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
 
   pipelines_.resize(wanted.size());
   std::vector<Result<void>> outcomes(wanted.size());
-  parallel_for(wanted.size(), [&](size_t i) {
+  // The long ones first, or the last of them would keep one core busy alone.
+  std::vector<size_t> order(wanted.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) {
+    return variant.modules[wanted[a].module].size() > variant.modules[wanted[b].module].size();
+  });
+  parallel_for(order.size(), [&](size_t n) {
+    const size_t i = order[n];
     auto pipeline = create_pipeline(context_.device, variant.modules[wanted[i].module],
                                     layouts_[wanted[i].layout].get(), cache);
     if (pipeline) {
