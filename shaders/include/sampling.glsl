@@ -1,7 +1,6 @@
-// shaders/include/sampling.glsl -- filtered reads by texelFetch, equal on every device; borders are clamped.
+// shaders/include/sampling.glsl -- where filtered reads look, in texels, equal on every device; borders are clamped.
 //
-// Positions are uv in the picture, (0, 0) its upper left corner; they must be finite. Needs
-// GL_EXT_samplerless_texture_functions.
+// Positions are uv in the picture, (0, 0) its upper left corner; they must be finite.
 #ifndef SHALE_SAMPLING_GLSL
 #define SHALE_SAMPLING_GLSL
 
@@ -22,12 +21,5 @@ float bilinear_weight(vec2 part, int i) {
   return ((i & 1) == 0 ? 1.0 - part.x : part.x) * ((i & 2) == 0 ? 1.0 - part.y : part.y);
 }
 ivec2 bilinear_texel(Bilinear b, int i, ivec2 size) { return inside(b.base + ivec2(i & 1, i >> 1), size); }
-
-vec4 sample_linear(texture2D image, vec2 uv, ivec2 size) {
-  const Bilinear b = bilinear_at(uv, size);
-  vec4 sum = vec4(0.0);
-  for (int i = 0; i < 4; ++i) sum += bilinear_weight(b.part, i) * texelFetch(image, bilinear_texel(b, i, size), 0);
-  return sum;
-}
 
 #endif

@@ -9,21 +9,23 @@
 // Source: nss.md section 2.3; tools/train/nss_passes.py computes the same. The depth of the frame before is kept as it
 // was dilated, instead of being gathered through the offsets of the frame before.
 #version 450
+#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 layout(set = 0, binding = 0) uniform texture2D color;
 layout(set = 0, binding = 1) uniform texture2D depth;
 layout(set = 0, binding = 2) uniform texture2D motion;
-layout(set = 0, binding = 3) uniform texture2D history;        // one frame back
-layout(set = 0, binding = 4) uniform texture2D luma;           // one frame back
-layout(set = 0, binding = 5) uniform texture2D dilated;        // one frame back
+HISTORY_IMAGE(3, history, rgba16f);                            // one frame back
+HISTORY_IMAGE(4, luma, rg8);                                   // one frame back
+HISTORY_IMAGE(5, dilated, r32f);                               // one frame back
 layout(set = 0, binding = 6) uniform itextureBuffer feedback;  // of one frame back
 layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { uint words[]; } network_input;
 layout(set = 0, binding = 8, rg8) writeonly uniform image2D new_luma;
 layout(set = 0, binding = 9, r32f) writeonly uniform image2D new_dilated;
 layout(set = 0, binding = 10, rg16f) writeonly uniform image2D moving;
 layout(set = 0, binding = 11, rgba32f) writeonly uniform image2D mapped;
+#include "warped.glsl"
 
 const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
 
@@ -34,7 +36,7 @@ float disoccluded(vec2 uv, float z) {
   for (int i = 0; i < 4; ++i) {
     const ivec2 at = b.base + ivec2(i & 1, i >> 1);
     const bool is_inside = all(greaterThanEqual(at, ivec2(0))) && all(lessThan(at, kRender));
-    const float before = texelFetch(dilated, inside(at, kRender), 0).r;
+    const float before = HISTORY_TEXEL(dilated, inside(at, kRender)).r;
     sum += depth_clip_tap(bilinear_weight(b.part, i), is_inside, z, view_z(before), 0.0);
   }
   return depth_clip(sum);
@@ -77,12 +79,15 @@ void main() {
   // A learned constant of the source: fewer false alarms where little moves.
   if (length(moved * vec2(kRender)) <= 0.5) hidden *= 0.725223958;
 
-  const vec3 past = karis(exposed(sample_linear(history, before, kOutput).rgb, params.exposure)) * not_reset();
+  const vec3 past = history_at(before) * not_reset();
   const vec3 now = karis(exposed(finite_color(texelFetch(color, at, 0).rgb), params.exposure));
   const vec4 fed = feedback_at(before) * not_reset();
 
   const float y = dot(now, vec3(0.2126, 0.7152, 0.0722));
-  const vec2 kept = sample_linear(luma, before * vec2(kRender) / vec2(kPadded), kPadded).rg * not_reset();
+  const Bilinear b = bilinear_at(before * vec2(kRender) / vec2(kPadded), kPadded);
+  vec2 kept = vec2(0.0);
+  [[unroll]] for (int i = 0; i < 4; ++i)
+    kept += not_reset() * bilinear_weight(b.part, i) * HISTORY_TEXEL(luma, bilinear_texel(b, i, kPadded)).rg;
   const float difference = abs(y - kept.y);
   const float change = difference < 0.05 ? 0.0 : pow(min(difference, 0.3) / 0.3, 1.5);
   float level = mix(kept.x, change, mix(0.1, 0.01, clamp(kept.x, 0.0, 0.3) / 0.3));

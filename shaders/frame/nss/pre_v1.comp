@@ -30,6 +30,7 @@ layout(set = 0, binding = 5) uniform itextureBuffer feedback;  // the tensor "te
 layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { WORDS words[]; } network_input;
 layout(set = 0, binding = 8, rgba8_snorm) writeonly uniform image2D new_state;
 layout(set = 0, binding = 9, rg16f) writeonly uniform image2D dilated;
+#include "warped.glsl"
 #define CLOSEST_LAST 2
 #include "closest.glsl"
 #if SIDE == 1
@@ -43,14 +44,6 @@ const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
 const ivec2 kNetwork = (kRender + SIDE - 1) / SIDE;
 
 vec3 exposed_texel(ivec2 at) { return exposed(imageLoad(color, inside(at, kRender)).rgb, params.exposure); }
-
-vec3 history_at(vec2 uv) {
-  const Bilinear b = bilinear_at(uv, kOutput);
-  vec3 sum = vec3(0.0);
-  [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * HISTORY_TEXEL(history, bilinear_texel(b, i, kOutput)).rgb;
-  return karis(exposed(sum, params.exposure));
-}
 
 uint code(float value) {
   const int q = int(floor(value * (1.0 / float(INPUT_SCALE)) + 0.5)) + INPUT_ZERO_POINT;
