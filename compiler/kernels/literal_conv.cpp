@@ -291,8 +291,11 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
       text += codegen_.store(result, at, value);
       continue;
     }
-    packed += oc % 4 < 3 ? fmt::format("(({} & 255) << {}) | ", value, 8 * (oc % 4))
-                         : fmt::format("({} << 24)", value);
+    // The maximum with 0, which `none` is, keeps LLVM from packing lane by lane in the loop in which Mesa
+    // stores: 9 to 15 % of a layer.
+    packed += oc % 4 == 0  ? fmt::format("max(uint(({} & 255)", value)
+              : oc % 4 < 3 ? fmt::format(" | (({} & 255) << {})", value, 8 * (oc % 4))
+                           : fmt::format(" | ({} << 24)), none)", value);
     if ((oc + 1) % width == 0) {
       const ImageFormat format = width == 16 ? ImageFormat::kRgba32Uint : ImageFormat::kR32Uint;
       text += fmt::format("  b{}.d[((n * {} + {}) * {} + {}) * {} + {}] = {}({});\n",
@@ -370,8 +373,8 @@ KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) 
       fmt::format("local_size_x = {}", local_x(width)),
       fmt::format("  int x = int(gl_GlobalInvocationID.x);\n  int y = "
                   "int(gl_GlobalInvocationID.y);\n  int n = int(gl_GlobalInvocationID.z);\n"
-                  "  if (x >= {}) return;\n",
-                  width) +
+                  "  if (x >= {}) return;\n  uint none = uint(x >= {});\n",
+                  width, INT32_MAX) +
           body);
   source.workgroups = {static_cast<uint32_t>(ceil_div(width, local_x(width))),
                        static_cast<uint32_t>(ceil_div(height, rows(tiling))),

@@ -18,6 +18,9 @@ SHALE_PARAMS;
   layout(set = 0, binding = at, layout_format) readonly uniform image2D name
 #define HISTORY_TEXEL(name, at) imageLoad(name, at)
 
+/// A word, packed: Mesa stores lane by lane, and LLVM would pack it lane by lane, too, but for the maximum.
+uint whole(uint word) { return max(word, uint(int(gl_GlobalInvocationID.x) == 0x7fffffff)); }
+
 float not_reset() { return params.reset != 0 ? 0.0 : 1.0; }
 
 /// Texel of a picture of `size` that a texel of its padded form shows: mirrored at the lower and right border, with

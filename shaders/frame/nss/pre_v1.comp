@@ -51,7 +51,7 @@ uint code(float value) {
 }
 
 uint pack4(float a, float b, float c, float d) {
-  return code(a) | code(b) << 8 | code(c) << 16 | code(d) << 24;
+  return whole(code(a) | code(b) << 8 | code(c) << 16 | code(d) << 24);
 }
 
 /// What a network texel leaves.
