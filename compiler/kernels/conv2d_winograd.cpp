@@ -62,7 +62,8 @@ class Winograd {
 
   int64_t products() const { return 16 * conv_.weight_shape()[0] * conv_.weight_shape()[3]; }
 
-  /// In parts the driver takes as many times longer for a product: more is live at a time.
+  /// In parts a product takes as many times longer, the driver for its code too (measured in two
+  /// parts): the results of all parts are live together, and spilled.
   int64_t literals() const { return products() * std::max<int64_t>(parts_, 1); }
 
   WorkTable work() const {
@@ -73,7 +74,7 @@ class Winograd {
     WorkTable work{};
     work[Work::kDispatch] = 1;
     work[Work::kCode] = static_cast<double>(products());
-    work[Work::kPairProduct] = tiles * static_cast<double>(products());
+    work[Work::kPairProduct] = tiles * static_cast<double>(literals());
     // Each pass makes its 16 values a channel anew; an output channel adds 16 sums to 4 results.
     work[Work::kTransform] =
         tiles *

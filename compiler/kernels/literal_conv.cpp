@@ -9,7 +9,9 @@ namespace {
 
 /// Most tiles below each other of an invocation: what two of them read is fetched once, and the
 /// registers and caches keep what the loop needs. But workgroups enough for all cores.
-constexpr int64_t kMostRows = 18, kLeastWorkgroups = 32;
+/// Most rows of a part, and the workgroups to make if there are rows for so many: a few for each core
+/// of a phone or a small computer.
+constexpr int64_t kMostRows = 18, kLeastWorkgroups = 8;
 
 const Node& head_of(const GroupProblem& problem) {
   return problem.graph->node(*problem.group.head);
@@ -323,26 +325,28 @@ std::array<int64_t, 2> LiteralConv::tiles(const Tiling& tiling) const {
 
 int64_t literal_lanes(int64_t grid_x) { return ceil_div(grid_x, 8) * 8; }
 
-int64_t LiteralConv::rows(const Tiling& tiling) const {
+int64_t LiteralConv::parts(const Tiling& tiling) const {
   const auto [height, width] = tiles(tiling);
-  const int64_t workgroups = out()[0] * height * ceil_div(width, local_x(width));
-  const int64_t most = std::clamp<int64_t>(workgroups / kLeastWorkgroups, 1, kMostRows);
-  return ceil_div(height, ceil_div(height, most));
+  const int64_t columns = out()[0] * ceil_div(width, local_x(width));
+  return std::min(std::max(ceil_div(height, kMostRows), ceil_div(kLeastWorkgroups, columns)),
+                  height);
 }
 
 double LiteralConv::fetches(const Tiling& tiling) const {
+  const double starts =  // of a part, for each row
+      static_cast<double>(parts(tiling)) / static_cast<double>(tiles(tiling)[0]);
   double count = 0;
-  for (size_t i = 0; i < tiling.texels.size(); ++i)
-    count += tiling.below(i) ? 1.0 / static_cast<double>(rows(tiling)) : 1.0;
+  for (size_t i = 0; i < tiling.texels.size(); ++i) count += tiling.below(i) ? starts : 1.0;
   return count * static_cast<double>(ceil_div(weight_shape()[3], lanes_));
 }
 
 std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body) {
-  const int64_t count = rows(tiling);
+  const int64_t height = tiles(tiling)[0], count = parts(tiling);
+  const bool loop = count < height;
   std::string before, each, after;
   for (size_t i = 0; i < tiling.texels.size(); ++i) {
     const auto [row, column] = tiling.texels[i];
-    const std::optional<size_t> next = count > 1 ? tiling.below(i) : std::nullopt;
+    const std::optional<size_t> next = loop ? tiling.below(i) : std::nullopt;
     for (int64_t c = 0; c < weight_shape()[3]; c += lanes_) {
       (next ? before : each) +=
           fmt::format("  {} {} = {};\n", texel_type(), texel(i, c),
@@ -350,14 +354,17 @@ std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body
       if (next) after += fmt::format("  {} = {};\n", texel(i, c), texel(*next, c));
     }
   }
-  const std::string start = fmt::format("  {{\n  int row = y * {}, iy = row * {}, ix = x * {};\n",
-                                        count, tiling.step_y, tiling.step_x);
-  if (count == 1) return start + each + body + "  }\n";
+  // Unsigned: both factors may have 16 bits.
+  const auto border = [&](const char* part) {
+    return loop ? fmt::format("int({} * {}u / {}u)", part, height, count) : "y";
+  };
+  const std::string start = fmt::format("  {{\n  int row = {}, iy = row * {}, ix = x * {};\n",
+                                        border("uint(y)"), tiling.step_y, tiling.step_x);
+  if (!loop) return start + each + body + "  }\n";
   // Left at its end: after a condition at its start CPU drivers run the body once more, for no lane.
   return start + before + "  for (;;) {\n" + each + body + after +
-         fmt::format(
-             "  ++row;\n  iy += {};\n  if (row >= min(y * {} + {}, {})) break;\n  }}\n  }}\n",
-             tiling.step_y, count, count, tiles(tiling)[0]);
+         fmt::format("  ++row;\n  iy += {};\n  if (row >= {}) break;\n  }}\n  }}\n", tiling.step_y,
+                     border("uint(y + 1)"));
 }
 
 bool LiteralConv::fits_grid(const Tiling& tiling) const {
@@ -377,8 +384,7 @@ KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) 
                   width, INT32_MAX) +
           body);
   source.workgroups = {static_cast<uint32_t>(ceil_div(width, local_x(width))),
-                       static_cast<uint32_t>(ceil_div(height, rows(tiling))),
-                       static_cast<uint32_t>(out()[0])};
+                       static_cast<uint32_t>(parts(tiling)), static_cast<uint32_t>(out()[0])};
   source.bindings = codegen_.bindings();
   source.optimize = OptimizeBy::kForwarding;
   return source;

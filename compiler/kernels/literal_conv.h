@@ -97,8 +97,8 @@ class LiteralConv {
   /// Fetches the texels of each of the invocation's tiles and runs `body` on them, in which `row` and
   /// `x` are the tile's.
   std::string over_rows(const Tiling& tiling, const std::string& body);
-  /// Tiles below each other that an invocation makes.
-  int64_t rows(const Tiling& tiling) const;
+  /// Parts of the rows of tiles, even ones: an invocation makes all tiles of its column in one part.
+  int64_t parts(const Tiling& tiling) const;
   /// Fetches for a tile of one such loop, on average.
   double fetches(const Tiling& tiling) const;
   /// Tiles along y and x.

@@ -11,9 +11,9 @@ constexpr KernelFamily kKernels[] = {
 #include "compiler/kernels/kernels.def"
 };
 
-/// The driver's compile time is spread over so many frames, a few minutes of them: drivers keep the
-/// code on disk. A layer that gains less in them is not worth more code.
-constexpr double kFramesPerStart = 10000;
+/// The driver's compile time is spread over so many frames, minutes to hours of them: drivers keep
+/// the code on disk. A layer that gains less in them is not worth more code.
+constexpr double kFramesPerStart = 100000;
 
 double weighed_us(const KernelFamily& family, const GroupProblem& problem,
                   const DeviceProfile& profile) {

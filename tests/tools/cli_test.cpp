@@ -480,7 +480,7 @@ TEST_F(Cli, FitWritesConstantsThatBenchTakes) {
   const nlohmann::json before = nlohmann::json::parse(measured.text)["models"][0],
                        after = nlohmann::json::parse(again.text)["models"][0];
   EXPECT_NEAR(after["total"]["predicted_ms"].get<double>() * after["roof_gop_per_s"].get<double>(),
-              before["total"]["time_ms"].get<double>() * before["roof_gop_per_s"].get<double>(),
+              before["total"]["layers_ms"].get<double>() * before["roof_gop_per_s"].get<double>(),
               1e-6 * before["roof_gop_per_s"].get<double>());
   for (const auto& [text, message] :
        {std::pair<std::string, std::string>{"{}", "shale bench"},

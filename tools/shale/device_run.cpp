@@ -77,15 +77,17 @@ struct NetworkRun::State {
   const vk::Context& context;
   DataGraphPipeline pipeline;
   Session session;
-  vk::Timestamps timestamps;
+  vk::Timestamps timestamps, whole;
   std::vector<vk::Buffer> inputs = {}, outputs = {};
 
   std::span<const Segment> segments() const { return {&pipeline.graph(), 1}; }
-  Result<void> submit(vk::Timestamps* measured) {
+  /// With the times of all dispatches, of the whole, or neither.
+  Result<void> submit(vk::Timestamps* each, vk::Timestamps* all) {
     Result<void> recorded;
     SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
-      if (measured) measured->start(commands);
-      recorded = session.record(commands, measured);
+      if (all) all->start(commands);
+      recorded = session.record(commands, each);
+      if (all) all->mark(commands);
       vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
                          VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
     }));
@@ -104,8 +106,9 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
   if (start) start->create_ms = since_ms(begin);
   SHALE_TRY(vk::Timestamps timestamps,
             vk::Timestamps::create(context, interval_count({&pipeline.graph(), 1})));
-  const auto state = std::make_shared<State>(
-      State{context, std::move(pipeline), std::move(session), std::move(timestamps)});
+  SHALE_TRY(vk::Timestamps whole, vk::Timestamps::create(context, 1));
+  const auto state = std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
+                                                   std::move(timestamps), std::move(whole)});
 
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
@@ -140,11 +143,17 @@ Result<void> NetworkRun::set_inputs(const std::vector<Tensor>& inputs) {
   return {};
 }
 
-Result<void> NetworkRun::run() { return state_->submit(nullptr); }
+Result<void> NetworkRun::run() { return state_->submit(nullptr, nullptr); }
 
 Result<std::vector<DispatchTime>> NetworkRun::measure() {
-  SHALE_TRY_VOID(state_->submit(&state_->timestamps));
+  SHALE_TRY_VOID(state_->submit(&state_->timestamps, nullptr));
   return measured_times(state_->timestamps, state_->segments());
+}
+
+Result<double> NetworkRun::measure_whole() {
+  SHALE_TRY_VOID(state_->submit(nullptr, &state_->whole));
+  SHALE_TRY(const std::vector<double> times, state_->whole.read_us());
+  return times.front();
 }
 
 std::vector<Tensor> NetworkRun::outputs() const {

@@ -69,6 +69,9 @@ class NetworkRun {
   Result<void> run();
   /// Runs once and measures each dispatch; a driver may compile at the first run.
   Result<std::vector<DispatchTime>> measure();
+  /// Runs once and measures the whole in microseconds: between dispatches a driver may take long for
+  /// a timestamp.
+  Result<double> measure_whole();
   /// Of the last run, in the order of the graph.
   std::vector<Tensor> outputs() const;
 

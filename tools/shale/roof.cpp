@@ -182,20 +182,27 @@ Result<RoofedTimes> measure_under_roof(const ToolDevice& device, const Package& 
   SHALE_TRY_VOID(network.run());
   SHALE_TRY(MulAddRoof probe, MulAddRoof::create(device));
   std::vector<std::vector<DispatchTime>> frames;
-  std::vector<double> roofs;
+  std::vector<double> roofs, wholes;
   for (uint32_t i = 0; i < repeat; ++i) {
     SHALE_TRY(const double before, probe.measure());
     SHALE_TRY(std::vector<DispatchTime> frame, network.measure());
+    SHALE_TRY(const double whole, network.measure_whole());
     SHALE_TRY(const double after, probe.measure());
     frames.push_back(std::move(frame));
+    wholes.push_back(whole);
     roofs.push_back((before + after) / 2);
   }
+  const auto median = [](std::vector<double> values) {
+    std::sort(values.begin(), values.end());
+    return values[values.size() / 2];
+  };
   RoofedTimes result;
-  std::vector<double> sorted = roofs;
-  std::sort(sorted.begin(), sorted.end());
-  result.roof = sorted[sorted.size() / 2];
-  for (size_t i = 0; i < frames.size(); ++i)
+  result.roof = median(roofs);
+  for (size_t i = 0; i < frames.size(); ++i) {
     for (DispatchTime& time : frames[i]) time.time_us *= roofs[i] / result.roof;
+    wholes[i] *= roofs[i] / result.roof;
+  }
+  result.whole_us = median(wholes);
   result.times = median_times(frames);
   result.outputs = network.outputs();
   return result;

@@ -37,14 +37,15 @@ class MulAddRoof {
   double work_;  ///< operations of a run
 };
 
-/// Medians of a network's dispatches and of the roof; the outputs are those of the last run.
+/// Medians of a network, its dispatches and the roof; the outputs are those of the last run.
 struct RoofedTimes {
   std::vector<DispatchTime> times;
+  double whole_us = 0;  ///< of runs without timestamps between dispatches
   double roof = 0;
   std::vector<Tensor> outputs;
 };
 
-/// Runs the package's graph `repeat` times, after one run that is not measured, and measures the roof
+/// Runs the package's graph `repeat` times twice, after one run that is not measured, and measures the roof
 /// around each: the machine's speed moves with its clock and its neighbours, so every run's times are
 /// taken to the median roof.
 /// `repeat` is at least 1. Errors: as NetworkRun.
