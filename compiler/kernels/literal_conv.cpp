@@ -8,9 +8,8 @@ namespace shale {
 namespace {
 
 /// Most tiles below each other of an invocation: what two of them read is fetched once, and the
-/// registers and caches keep what the loop needs. But workgroups enough for all cores.
-/// Most rows of a part, and the workgroups to make if there are rows for so many: a few for each core
-/// of a phone or a small computer.
+/// registers and caches keep what the loop needs. But workgroups enough, where there are rows, for a
+/// few on each core of a small computer.
 constexpr int64_t kMostRows = 18, kLeastWorkgroups = 8;
 
 const Node& head_of(const GroupProblem& problem) {
@@ -325,7 +324,7 @@ std::array<int64_t, 2> LiteralConv::tiles(const Tiling& tiling) const {
 
 int64_t literal_lanes(int64_t grid_x) { return ceil_div(grid_x, 8) * 8; }
 
-int64_t LiteralConv::parts(const Tiling& tiling) const {
+int64_t LiteralConv::row_parts(const Tiling& tiling) const {
   const auto [height, width] = tiles(tiling);
   const int64_t columns = out()[0] * ceil_div(width, local_x(width));
   return std::min(std::max(ceil_div(height, kMostRows), ceil_div(kLeastWorkgroups, columns)),
@@ -334,15 +333,15 @@ int64_t LiteralConv::parts(const Tiling& tiling) const {
 
 double LiteralConv::fetches(const Tiling& tiling) const {
   const double starts =  // of a part, for each row
-      static_cast<double>(parts(tiling)) / static_cast<double>(tiles(tiling)[0]);
+      static_cast<double>(row_parts(tiling)) / static_cast<double>(tiles(tiling)[0]);
   double count = 0;
   for (size_t i = 0; i < tiling.texels.size(); ++i) count += tiling.below(i) ? starts : 1.0;
   return count * static_cast<double>(ceil_div(weight_shape()[3], lanes_));
 }
 
 std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body) {
-  const int64_t height = tiles(tiling)[0], count = parts(tiling);
-  const bool loop = count < height;
+  const int64_t height = tiles(tiling)[0], parts = row_parts(tiling);
+  const bool loop = parts < height;
   std::string before, each, after;
   for (size_t i = 0; i < tiling.texels.size(); ++i) {
     const auto [row, column] = tiling.texels[i];
@@ -356,7 +355,7 @@ std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body
   }
   // Unsigned: both factors may have 16 bits.
   const auto border = [&](const char* part) {
-    return loop ? fmt::format("int({} * {}u / {}u)", part, height, count) : "y";
+    return loop ? fmt::format("int({} * {}u / {}u)", part, height, parts) : "y";
   };
   const std::string start = fmt::format("  {{\n  int row = {}, iy = row * {}, ix = x * {};\n",
                                         border("uint(y)"), tiling.step_y, tiling.step_x);
@@ -384,7 +383,7 @@ KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) 
                   width, INT32_MAX) +
           body);
   source.workgroups = {static_cast<uint32_t>(ceil_div(width, local_x(width))),
-                       static_cast<uint32_t>(parts(tiling)), static_cast<uint32_t>(out()[0])};
+                       static_cast<uint32_t>(row_parts(tiling)), static_cast<uint32_t>(out()[0])};
   source.bindings = codegen_.bindings();
   source.optimize = OptimizeBy::kForwarding;
   return source;

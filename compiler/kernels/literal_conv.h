@@ -98,7 +98,7 @@ class LiteralConv {
   /// `x` are the tile's.
   std::string over_rows(const Tiling& tiling, const std::string& body);
   /// Parts of the rows of tiles, even ones: an invocation makes all tiles of its column in one part.
-  int64_t parts(const Tiling& tiling) const;
+  int64_t row_parts(const Tiling& tiling) const;
   /// Fetches for a tile of one such loop, on average.
   double fetches(const Tiling& tiling) const;
   /// Tiles along y and x.
