@@ -150,7 +150,8 @@ TEST(Driver, MakesAVariantForEachTarget) {
   EXPECT_EQ(both.package.variants[0].target, "generic-gpu");
   EXPECT_EQ(both.package.variants[1].target, "lavapipe");
   EXPECT_EQ(graph_dispatches(both, 0)[0].kernel, "generic");
-  EXPECT_EQ(graph_dispatches(both, 1)[0].kernel, "conv2d_s8_winograd");
+  // Which of them is select_test's business.
+  EXPECT_TRUE(graph_dispatches(both, 1)[0].kernel.starts_with("conv2d_s8_"));
   options.targets = {"generic-gpu"};
   const Compiled one = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, options));
   EXPECT_TRUE(one.package.variants[0] == both.package.variants[0]);
