@@ -19,7 +19,7 @@ trap 'rm -f "$part" "$part.json"' EXIT
   echo "Times are medians of device timestamps after a warm-up; GOP/s counts 2 per multiply-accumulate of the direct form,"
   echo "requantization included; the naive kernel is the generic one, one invocation per output element. The roof is"
   echo "float32 multiply and add in registers, the best of several shapes of code, measured around every run; times are taken to"
-  echo "the median roof, since the machine's speed moves."
+  echo "the median roof, since the machine's speed moves. A network's total is measured without timestamps between its layers."
   echo
   echo "## Layer classes"
   echo
