@@ -349,6 +349,9 @@ class VariantBuilder {
       resource.height = extent.height;
       resource.width = extent.width;
       resource.history_depth = image.history_depth;
+      if (image.is_linear)
+        resource.size_bytes = uint64_t{linear_pitch(image.format, extent.width)} *
+                              image_format_info(image.format).texel_bytes * extent.height;
       if (resource.height > kMaxImageExtent || resource.width > kMaxImageExtent)
         return bad_input("frame.images",
                          "image \"{}\" would have {}x{} pixels, expected at most {} a side",
@@ -399,6 +402,9 @@ class VariantBuilder {
       if (is_image(resource.category)) {
         defines.emplace_back(name + "_WIDTH", std::to_string(resource.width));
         defines.emplace_back(name + "_HEIGHT", std::to_string(resource.height));
+        if (is_linear(resource))
+          defines.emplace_back(name + "_PITCH",
+                               std::to_string(linear_pitch(resource.format, resource.width)));
         continue;
       }
       if (resource.shape.size() != 4) continue;
@@ -441,14 +447,32 @@ class VariantBuilder {
                      pass.over);
   }
 
+  /// check_package has the rules of transfers; the bindings of shaders are judged here.
+  Result<BindingType> binding_type(const FrameBinding& from, const Resource& resource,
+                                   bool is_transfer, const std::string& where) const {
+    if (is_transfer) return BindingType::kTransfer;
+    if (from.texels != ImageFormat::kNone) {
+      if (from.is_image && !is_linear(resource))
+        return bad_input(where, "reads texels of \"{}\", which is not linear", from.name);
+      return BindingType::kUniformTexelBuffer;
+    }
+    if (from.loads && is_linear(resource))
+      return bad_input(where, "loads \"{}\", which is linear: read its texels", from.name);
+    if (!from.is_image || is_linear(resource)) return BindingType::kStorageBuffer;
+    return from.writes || from.loads ? BindingType::kStorageImage : BindingType::kSampledImage;
+  }
+
   Result<void> add_pass(const FramePass& pass) {
     const std::string where = "pass \"" + pass.name + "\"";
-    SHALE_TRY(const FrameExtent grid, grid_of(pass, where));
+    const bool is_transfer = !pass.transfer.empty();
     Dispatch dispatch;
     dispatch.name = pass.name;
-    dispatch.kernel = "pass";
-    dispatch.workgroups = {(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
-                           (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+    dispatch.kernel = is_transfer ? pass.transfer : "pass";
+    if (!is_transfer) {
+      SHALE_TRY(const FrameExtent grid, grid_of(pass, where));
+      dispatch.workgroups = {(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
+                             (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+    }
     for (const FrameBinding& from : pass.bindings) {
       SHALE_TRY(const uint32_t index, find_resource(from.name, from.is_image, where));
       const Resource& resource = variant_.resources[index];
@@ -461,10 +485,7 @@ class VariantBuilder {
       if (from.frames_back >= std::max(resource.history_depth, 1u))
         return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name,
                          from.frames_back, resource.history_depth);
-      const BindingType type = from.texels != ImageFormat::kNone ? BindingType::kUniformTexelBuffer
-                               : !from.is_image                  ? BindingType::kStorageBuffer
-                               : from.writes || from.loads       ? BindingType::kStorageImage
-                                                                 : BindingType::kSampledImage;
+      SHALE_TRY(const BindingType type, binding_type(from, resource, is_transfer, where));
       dispatch.bindings.push_back(
           {from.binding, type, index, from.texels, from.reads, from.writes, from.frames_back});
       const uint64_t bytes = is_image(resource.category)
@@ -478,23 +499,31 @@ class VariantBuilder {
         1e-3 * (static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) *
                     profile_.ns[Work::kByte] +
                 profile_.ns[Work::kDispatch]);
+    if (!is_transfer) {
+      SHALE_TRY(dispatch.module, add_pass_source(pass));
+    }
+    Segment segment;
+    segment.name = pass.name;
+    segment.kind = is_transfer ? SegmentKind::kTransfer : SegmentKind::kCompute;
+    segment.dispatches.push_back(std::move(dispatch));
+    variant_.segments.push_back(std::move(segment));
+    return {};
+  }
+
+  Result<uint32_t> add_pass_source(const FramePass& pass) {
     Source source;
     SHALE_TRY(source.glsl, options_.load_shader(pass.shader));
     source.where = pass.shader;
     source.defines = frame_defines();
+    // Where one invocation is a lane of a processor, 64 bits are stored as one number.
+    source.defines.emplace_back("SHALE_ON_CPU", profile_.literal_weights ? "1" : "0");
     source.defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
     source.defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));
     source.defines.insert(source.defines.end(), pass.defines.begin(), pass.defines.end());
     // Includes lie beside the shader.
     source.load = [this, folder = pass.shader.substr(0, pass.shader.rfind('/') + 1)](
                       const std::string& name) { return options_.load_shader(folder + name); };
-    dispatch.module = add_source(std::move(source));
-    Segment segment;
-    segment.name = pass.name;
-    segment.kind = SegmentKind::kCompute;
-    segment.dispatches.push_back(std::move(dispatch));
-    variant_.segments.push_back(std::move(segment));
-    return {};
+    return add_source(std::move(source));
   }
 
   /// What the bindings ask for joins what the modules ask for.

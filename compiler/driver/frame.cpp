@@ -93,7 +93,25 @@ Result<FrameExtent> parse_extent(const Fields& fields, const char* key) {
   return FrameExtent{size[0].get<uint32_t>(), size[1].get<uint32_t>()};
 }
 
-/// "render", "output", or {"of": one of them, "divide": N, "multiple": N}.
+/// A number for both axes, or a list of two; 1 if absent.
+Result<std::array<uint32_t, 2>> parse_divide(const Fields& fields) {
+  if (!fields.has("divide") || !fields.json()["divide"].is_array()) {
+    SHALE_TRY(const int64_t divide, fields.integer("divide", 1, kMaxDivide, 1));
+    return std::array{static_cast<uint32_t>(divide), static_cast<uint32_t>(divide)};
+  }
+  const Json& list = fields.json()["divide"];
+  std::array<uint32_t, 2> divide{};
+  for (size_t i = 0; i < 2; ++i) {
+    if (list.size() != 2 || !list[i].is_number_unsigned() || list[i].get<uint64_t>() < 1 ||
+        list[i].get<uint64_t>() > kMaxDivide)
+      return bad_input(fields.where(), "\"divide\" must be one or two whole numbers from 1 to {}",
+                       kMaxDivide);
+    divide[i] = list[i].get<uint32_t>();
+  }
+  return divide;
+}
+
+/// "render", "output", or {"of": one of them, "divide": N or [N, N], "multiple": N}.
 Result<FrameSize> parse_size(const Fields& fields, const char* key = "size") {
   const Json& json = fields.has(key) ? fields.json()[key] : Json();
   FrameSize size;
@@ -103,9 +121,8 @@ Result<FrameSize> parse_size(const Fields& fields, const char* key = "size") {
   } else if (json.is_object()) {
     const Fields parts(json, fields.where() + "." + key);
     SHALE_TRY(of, parts.text("of"));
-    SHALE_TRY(const int64_t divide, parts.integer("divide", 1, kMaxDivide, 1));
+    SHALE_TRY(size.divide, parse_divide(parts));
     SHALE_TRY(const int64_t multiple, parts.integer("multiple", 1, kMaxMultiple, 1));
-    size.divide = static_cast<uint32_t>(divide);
     size.multiple = static_cast<uint32_t>(multiple);
   }
   if (of != "render" && of != "output")
@@ -193,6 +210,13 @@ Result<FrameImage> parse_image(const Fields& fields) {
     return bad_input(fields.where(), "format \"{}\" is no image format", format);
   image.format = *known;
   SHALE_TRY(image.size, parse_size(fields));
+  if (fields.has("linear")) {
+    if (!fields.json()["linear"].is_boolean())
+      return bad_input(fields.where(), "\"linear\" must be true or false");
+    image.is_linear = fields.json()["linear"].get<bool>();
+    if (image.is_linear && (role == "input" || role == "output"))
+      return bad_input(fields.where(), "the host's images are not linear: copy them");
+  }
   if (image.category == Category::kImageHistory) {
     SHALE_TRY(const int64_t depth, fields.integer("depth", 2, kMaxHistory, 2));
     image.history_depth = static_cast<uint32_t>(depth);
@@ -230,12 +254,13 @@ Result<FrameBinding> parse_binding(const Fields& fields) {
   if (fields.has("texels")) {
     SHALE_TRY(const std::string format, fields.text("texels"));
     binding.texels = image_format_from_name(format).value_or(ImageFormat::kNone);
-    if (binding.is_image || binding.writes ||
-        (binding.texels != ImageFormat::kRgba8Sint && binding.texels != ImageFormat::kR8Sint &&
-         binding.texels != ImageFormat::kR32Uint))
+    const auto formats = {ImageFormat::kRgba8Sint, ImageFormat::kR8Sint, ImageFormat::kR32Uint,
+                          ImageFormat::kRg32Uint, ImageFormat::kRgba32Uint};
+    if (binding.loads || binding.writes ||
+        std::find(formats.begin(), formats.end(), binding.texels) == formats.end())
       return bad_input(fields.where(),
-                       "\"texels\" is for tensors that are read, as rgba8_sint, r8_sint or "
-                       "r32_uint");
+                       "\"texels\" is for tensors and linear images that are read, as rgba8_sint, "
+                       "r8_sint, r32_uint, rg32_uint or rgba32_uint");
   }
   SHALE_TRY(const int64_t back, fields.integer("frames_back", 0, kMaxHistory - 1, 0));
   binding.frames_back = static_cast<uint32_t>(back);
@@ -252,6 +277,26 @@ Result<FramePass> parse_pass(const Fields& fields) {
     return pass;
   }
   SHALE_TRY(pass.name, identifier(fields));
+  if (fields.has("copy") || fields.has("clear")) {
+    const auto add = [&](const char* key, bool writes) -> Result<void> {
+      FrameBinding end;
+      SHALE_TRY(end.name, fields.text(key));
+      end.binding = static_cast<uint32_t>(pass.bindings.size());
+      end.is_image = true;
+      end.reads = !writes;
+      end.writes = writes;
+      pass.bindings.push_back(std::move(end));
+      return {};
+    };
+    pass.transfer = fields.has("copy") ? kCopyKernel : kClearKernel;
+    if (!fields.has("copy")) {
+      SHALE_TRY_VOID(add("clear", true));
+      return pass;
+    }
+    SHALE_TRY_VOID(add("copy", false));
+    SHALE_TRY_VOID(add("to", true));
+    return pass;
+  }
   SHALE_TRY(pass.shader, fields.text("shader"));
   if (fields.has("over") && !fields.json()["over"].is_string()) {
     SHALE_TRY(pass.over_size, parse_size(fields, "over"));
@@ -298,12 +343,11 @@ Result<FramePass> parse_pass(const Fields& fields) {
 }  // namespace
 
 FrameExtent FrameSize::operator()(FrameExtent render, FrameExtent output) const {
-  const auto side = [&](uint32_t of) {
-    const uint32_t part = (of + divide - 1) / divide;
-    return (part + multiple - 1) / multiple * multiple;
+  const auto side = [&](uint32_t of, uint32_t by) {
+    return ((of + by - 1) / by + multiple - 1) / multiple * multiple;
   };
   const FrameExtent of = of_output ? output : render;
-  return {side(of.width), side(of.height)};
+  return {side(of.width, divide[0]), side(of.height, divide[1])};
 }
 
 Result<std::pair<FrameExtent, FrameExtent>> frame_sizes(const Frame& frame,

@@ -1,6 +1,7 @@
 // compiler/driver/frame.h -- frame.json: the passes around a network, and the images between them.
 #pragma once
 
+#include <array>
 #include <functional>
 #include <optional>
 #include <string>
@@ -21,7 +22,7 @@ struct FrameExtent {
 /// rounded up to a multiple.
 struct FrameSize {
   bool of_output = false;
-  uint32_t divide = 1;
+  std::array<uint32_t, 2> divide{1, 1};  ///< width, height
   uint32_t multiple = 1;
 
   FrameExtent operator()(FrameExtent render, FrameExtent output) const;
@@ -32,6 +33,7 @@ struct FrameImage {
   Category category = Category::kImageInternal;
   ImageFormat format = ImageFormat::kNone;
   FrameSize size;
+  bool is_linear = false;      ///< its texels lie in a buffer
   uint32_t history_depth = 0;  ///< 2 or more for history images
 };
 
@@ -48,13 +50,15 @@ struct FrameBinding {
   bool reads = false, writes = false;
   bool loads = false;  ///< read as a storage image: on CPU drivers half the cost of texelFetch
   uint32_t frames_back = 0;
-  ImageFormat texels = ImageFormat::kNone;  ///< a tensor read as a texel buffer of this format
+  ImageFormat texels = ImageFormat::kNone;  ///< a buffer read as a texel buffer of this format
 };
 
-/// One pass; `is_graph` stands for the network's place.
+/// One pass; `is_graph` stands for the network's place. A transfer has a kernel of transfers, its
+/// ends as bindings, and neither shader nor grid.
 struct FramePass {
   std::string name;
   bool is_graph = false;
+  std::string_view transfer;
   std::string shader;  ///< path, relative to frame.json
   std::string over;    ///< image or tensor whose pixels are the invocations; empty with `over_size`
   std::optional<FrameSize> over_size;

@@ -81,7 +81,7 @@ Result<void> check_image(const std::string& where, const Resource& image) {
   if (static_cast<uint32_t>(image.format) >= kImageFormatCount)
     return bad_input(where, "image format {} does not exist", static_cast<uint32_t>(image.format));
   if (image.format == ImageFormat::kNone || image.format == ImageFormat::kRgba8Sint ||
-      image.format == ImageFormat::kR8Sint)
+      image.format == ImageFormat::kR8Sint || image.format == ImageFormat::kRg32Uint)
     return bad_input(where, "an image cannot have the format {}",
                      image_format_info(image.format).name);
   if (image.width < 1 || image.height < 1 || image.width > kMaxImageExtent ||
@@ -89,8 +89,16 @@ Result<void> check_image(const std::string& where, const Resource& image) {
     return bad_input(where, "extent {}x{} is outside 1..{}", image.width, image.height,
                      kMaxImageExtent);
   if (image.dtype != DType::kUnknown || !image.shape.empty() || image.quantization ||
-      image.offset_bytes != 0 || image.size_bytes != 0)
+      image.offset_bytes != 0)
     return bad_input(where, "an image has tensor fields");
+  if (image.size_bytes != 0) {
+    if (image.category != Category::kImageInternal && image.category != Category::kImageHistory)
+      return bad_input(where, "an image of the host has a size of {} bytes", image.size_bytes);
+    const uint64_t bytes = uint64_t{linear_pitch(image.format, image.width)} *
+                           image_format_info(image.format).texel_bytes * image.height;
+    if (image.size_bytes != bytes)
+      return bad_input(where, "size is {} bytes, the extent makes {}", image.size_bytes, bytes);
+  }
   const bool history = image.category == Category::kImageHistory;
   if (history && (image.history_depth < 2 || image.history_depth > kMaxHistoryDepth))
     return bad_input(where, "history depth {} is outside 2..{}", image.history_depth,
@@ -100,17 +108,13 @@ Result<void> check_image(const std::string& where, const Resource& image) {
   return {};
 }
 
-Result<void> check_tensor_binding(const std::string& where, const Binding& binding,
-                                  const Resource& tensor, SegmentKind segment) {
+/// Of a tensor or a linear image.
+Result<void> check_buffer_binding(const std::string& where, const Binding& binding,
+                                  const Resource& resource) {
   if (binding.type != BindingType::kStorageBuffer &&
       binding.type != BindingType::kUniformTexelBuffer)
-    return bad_input(where, "an image descriptor leads to the tensor \"{}\"", tensor.name);
-  if (binding.frames_back != 0)
-    return bad_input(where, "frames_back is {} on a tensor", binding.frames_back);
-  if (binding.writes && tensor.category == Category::kWeights)
-    return bad_input(where, "weights \"{}\" are written", tensor.name);
-  if (binding.writes && tensor.category == Category::kInput && segment == SegmentKind::kGraph)
-    return bad_input(where, "the graph segment writes its input \"{}\"", tensor.name);
+    return bad_input(where, "an image descriptor leads to the {} \"{}\"",
+                     is_image(resource.category) ? "linear image" : "tensor", resource.name);
   if (binding.type == BindingType::kStorageBuffer) {
     if (binding.view_format != ImageFormat::kNone)
       return bad_input(where, "a storage buffer has a view format");
@@ -118,30 +122,49 @@ Result<void> check_tensor_binding(const std::string& where, const Binding& bindi
   }
   if (binding.writes) return bad_input(where, "a uniform texel buffer is written");
   const auto views = {ImageFormat::kRgba8Sint, ImageFormat::kR8Sint, ImageFormat::kR32Uint,
-                      ImageFormat::kRgba32Uint};
+                      ImageFormat::kRg32Uint, ImageFormat::kRgba32Uint};
   if (std::find(views.begin(), views.end(), binding.view_format) == views.end())
     return bad_input(where, "a texel buffer cannot have the view format {}",
                      image_format_info(binding.view_format).name);
-  if (tensor.dtype != DType::kInt8 && tensor.dtype != DType::kBool)
+  const uint32_t texel_bytes = image_format_info(binding.view_format).texel_bytes;
+  if (resource.size_bytes % texel_bytes != 0)
+    return bad_input(where, "{} bytes of \"{}\" are no whole number of {} byte texels",
+                     resource.size_bytes, resource.name, texel_bytes);
+  return {};
+}
+
+Result<void> check_tensor_binding(const std::string& where, const Binding& binding,
+                                  const Resource& tensor, SegmentKind segment) {
+  SHALE_TRY_VOID(check_buffer_binding(where, binding, tensor));
+  if (binding.frames_back != 0)
+    return bad_input(where, "frames_back is {} on a tensor", binding.frames_back);
+  if (binding.writes && tensor.category == Category::kWeights)
+    return bad_input(where, "weights \"{}\" are written", tensor.name);
+  if (binding.writes && tensor.category == Category::kInput && segment == SegmentKind::kGraph)
+    return bad_input(where, "the graph segment writes its input \"{}\"", tensor.name);
+  if (binding.type == BindingType::kUniformTexelBuffer && tensor.dtype != DType::kInt8 &&
+      tensor.dtype != DType::kBool)
     return bad_input(where, "a texel buffer views a tensor of type {}, expected INT8 or BOOL",
                      dtype_info(tensor.dtype).wire);
-  const uint32_t texel_bytes = image_format_info(binding.view_format).texel_bytes;
-  if (tensor.size_bytes % texel_bytes != 0)
-    return bad_input(where, "{} bytes of \"{}\" are no whole number of {} byte texels",
-                     tensor.size_bytes, tensor.name, texel_bytes);
   return {};
 }
 
 Result<void> check_image_binding(const std::string& where, const Binding& binding,
                                  const Resource& image, SegmentKind segment) {
-  if (binding.type != BindingType::kSampledImage && binding.type != BindingType::kStorageImage)
-    return bad_input(where, "a buffer descriptor leads to the image \"{}\"", image.name);
   if (segment == SegmentKind::kGraph)
     return bad_input(where, "the graph segment uses the image \"{}\"", image.name);
-  if (binding.view_format != ImageFormat::kNone)
-    return bad_input(where, "an image descriptor has a view format");
-  if (binding.writes && binding.type == BindingType::kSampledImage)
-    return bad_input(where, "a sampled image is written");
+  if (is_linear(image) && segment == SegmentKind::kCompute) {
+    SHALE_TRY_VOID(check_buffer_binding(where, binding, image));
+  } else {
+    const bool shaders =
+        binding.type == BindingType::kSampledImage || binding.type == BindingType::kStorageImage;
+    if (segment == SegmentKind::kCompute && !shaders)
+      return bad_input(where, "a buffer descriptor leads to the image \"{}\"", image.name);
+    if (binding.view_format != ImageFormat::kNone)
+      return bad_input(where, "an image descriptor has a view format");
+    if (binding.writes && binding.type == BindingType::kSampledImage)
+      return bad_input(where, "a sampled image is written");
+  }
   if (binding.writes && image.category == Category::kImageInput)
     return bad_input(where, "the input image \"{}\" is written", image.name);
   // Only a history has frames to go back to, and only its newest image may change.
@@ -167,15 +190,52 @@ Result<void> check_binding(const std::string& where, const Binding& binding, con
     return bad_input(where, "resource {} does not exist, there are {}", binding.resource,
                      variant.resources.size());
   if (!binding.reads && !binding.writes) return bad_input(where, "neither reads nor writes");
+  if ((binding.type == BindingType::kTransfer) != (segment == SegmentKind::kTransfer))
+    return bad_input(where, "transfer segments have transfer bindings, and no others do");
   const Resource& resource = variant.resources[binding.resource];
   return is_image(resource.category) ? check_image_binding(where, binding, resource, segment)
                                      : check_tensor_binding(where, binding, resource, segment);
 }
 
+/// Behind check_binding of each binding.
+Result<void> check_transfer(const std::string& where, const Dispatch& transfer,
+                            const Variant& variant) {
+  const bool copies = transfer.kernel == kCopyKernel;
+  if (!copies && transfer.kernel != kClearKernel)
+    return bad_input(where, "\"{}\" is no transfer", transfer.kernel);
+  if (transfer.module != 0 || transfer.workgroups != std::array<uint32_t, 3>{1, 1, 1})
+    return bad_input(where, "a transfer has a module or a grid");
+  const auto end = [&](size_t i) -> const Resource& {
+    return variant.resources[transfer.bindings[i].resource];
+  };
+  for (size_t i = 0; i < transfer.bindings.size(); ++i) {
+    const Binding& binding = transfer.bindings[i];
+    if (!is_image(end(i).category)) return bad_input(where, "\"{}\" is no image", end(i).name);
+    const bool is_source = copies && i == 0;
+    if (binding.binding != i || binding.reads != is_source || binding.writes == is_source)
+      return bad_input(where, "the ends of a transfer are out of order");
+  }
+  if (transfer.bindings.size() != (copies ? 2 : 1))
+    return bad_input(where, "has {} ends, expected {}", transfer.bindings.size(), copies ? 2 : 1);
+  if (!copies) {
+    if (!is_linear(end(0)))
+      return bad_input(where, "clears \"{}\", which is no linear image", end(0).name);
+    return {};
+  }
+  if (end(0).format != end(1).format || end(0).width != end(1).width ||
+      end(0).height != end(1).height)
+    return bad_input(where, "copies \"{}\" to \"{}\", which has another format or extent",
+                     end(0).name, end(1).name);
+  if (is_linear(end(0)) == is_linear(end(1)))
+    return bad_input(where, "copies \"{}\" to \"{}\", of which one must be linear", end(0).name,
+                     end(1).name);
+  return {};
+}
+
 Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
                             const Variant& variant, SegmentKind segment) {
   SHALE_TRY_VOID(check_name(where, "kernel name", dispatch.kernel));
-  if (dispatch.module >= variant.modules.size())
+  if (segment != SegmentKind::kTransfer && dispatch.module >= variant.modules.size())
     return bad_input(where, "module {} does not exist, there are {}", dispatch.module,
                      variant.modules.size());
   for (const uint32_t count : dispatch.workgroups)
@@ -189,6 +249,7 @@ Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
     if (used & bit) return bad_input(at, "the binding number is taken already");
     used |= bit;
   }
+  if (segment == SegmentKind::kTransfer) SHALE_TRY_VOID(check_transfer(where, dispatch, variant));
   if (!(std::isfinite(dispatch.cost.time_us) && dispatch.cost.time_us >= 0))
     return bad_input(where, "predicted time {} is not a duration", dispatch.cost.time_us);
   return {};
@@ -315,7 +376,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
     const Segment& segment = variant.segments[s];
     const std::string at = fmt::format("{}, segment {}", where, s);
     SHALE_TRY_VOID(check_unique_name(at, "segment name", segment.name, segment_names));
-    if (segment.kind != SegmentKind::kCompute && segment.kind != SegmentKind::kGraph)
+    if (segment.kind > SegmentKind::kTransfer)
       return bad_input(at, "segment kind {} does not exist", static_cast<uint32_t>(segment.kind));
     if (segment.kind == SegmentKind::kGraph) ++graphs;
     for (size_t d = 0; d < segment.dispatches.size(); ++d) {
@@ -363,6 +424,7 @@ Requirements binding_requirements(const Variant& variant) {
             break;
           case BindingType::kSampledImage: ++texel_buffers; break;
           case BindingType::kStorageImage: ++storage_images; break;
+          case BindingType::kTransfer: break;
         }
       }
       needs.storage_buffers = std::max(needs.storage_buffers, storage_buffers);

@@ -13,7 +13,8 @@ constexpr std::array<const char*, kCategoryCount> kCategoryNames{
     "input",       "output",       "intermediate",   "weights",
     "image input", "image output", "image internal", "image history"};
 constexpr std::array<const char*, kBindingTypeCount> kBindingTypeNames{
-    "storage buffer", "texel buffer", "sampled image", "storage image"};
+    "storage buffer", "texel buffer", "sampled image", "storage image", "transfer"};
+constexpr std::array<const char*, 3> kSegmentNames{"compute", "graph", "transfer"};
 
 template <typename... Args>
 void line(std::string& text, fmt::format_string<Args...> format, Args&&... args) {
@@ -40,9 +41,10 @@ void dump_requirements(std::string& text, const Requirements& r) {
 void dump_resource(std::string& text, size_t index, const Resource& r) {
   const char* category = kCategoryNames[static_cast<uint32_t>(r.category)];
   if (is_image(r.category)) {
-    line(text, "    {:3} {:14} {} {}x{}{} \"{}\"", index, category,
+    line(text, "    {:3} {:14} {} {}x{}{}{} \"{}\"", index, category,
          image_format_info(r.format).name, r.width, r.height,
-         r.history_depth ? fmt::format(" depth {}", r.history_depth) : "", r.name);
+         r.history_depth ? fmt::format(" depth {}", r.history_depth) : "",
+         is_linear(r) ? fmt::format(" linear, {} bytes", r.size_bytes) : "", r.name);
     return;
   }
   const bool placed = r.category == Category::kIntermediate || r.category == Category::kWeights;
@@ -67,7 +69,7 @@ void dump_binding(std::string& text, const Binding& b, const Variant& variant) {
 
 void dump_segment(std::string& text, const Segment& segment, const Variant& variant) {
   line(text, "  segment \"{}\" ({}): {} dispatches", segment.name,
-       segment.kind == SegmentKind::kGraph ? "graph" : "compute", segment.dispatches.size());
+       kSegmentNames[static_cast<uint32_t>(segment.kind)], segment.dispatches.size());
   for (const Dispatch& d : segment.dispatches) {
     line(text, "    \"{}\": {} module {} grid {}x{}x{}", d.name, d.kernel, d.module,
          d.workgroups[0], d.workgroups[1], d.workgroups[2]);

@@ -15,6 +15,8 @@ static_assert(std::endian::native == std::endian::little, "vectors are copied as
 static_assert(static_cast<uint32_t>(fbs::Category::MAX) + 1 == kCategoryCount);
 static_assert(static_cast<uint32_t>(fbs::ImageFormat::MAX) + 1 == kImageFormatCount);
 static_assert(static_cast<uint32_t>(fbs::BindingType::MAX) + 1 == kBindingTypeCount);
+static_assert(static_cast<uint32_t>(fbs::SegmentKind::MAX) ==
+              static_cast<uint32_t>(SegmentKind::kTransfer));
 static_assert(static_cast<uint32_t>(fbs::ParamSource::MAX) + 1 == kParamSourceCount);
 
 /// Lengths of files are multiples of this, so that no cut goes unseen in the padding at the end.
@@ -35,6 +37,7 @@ constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
     {ImageFormat::kRg8Unorm, "rg8_unorm", "rg8", 2, 2},
     {ImageFormat::kRgba8Snorm, "rgba8_snorm", "rgba8_snorm", 4, 4},
     {ImageFormat::kRgba32Uint, "rgba32_uint", "rgba32ui", 16, 4},
+    {ImageFormat::kRg32Uint, "rg32_uint", "rg32ui", 8, 2},
 }};
 
 // ---- Writing: plain data to tables, children first, always in the same order.
@@ -313,6 +316,12 @@ std::optional<ImageFormat> image_format_from_name(std::string_view name) {
   for (const ImageFormatInfo& info : kImageFormats)
     if (info.format != ImageFormat::kNone && info.name == name) return info.format;
   return std::nullopt;
+}
+
+uint32_t linear_pitch(ImageFormat format, uint32_t width) {
+  const uint32_t bytes = image_format_info(format).texel_bytes;
+  return (width * bytes + kLinearRowAlignment - 1) / kLinearRowAlignment * kLinearRowAlignment /
+         bytes;
 }
 
 uint32_t param_bytes(const Variant& variant) {

@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 2;
+inline constexpr uint32_t kPackageMinor = 3;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -65,9 +65,10 @@ enum class ImageFormat : uint8_t {
   kR8Sint = 10,    ///< texel buffers of int8 tensors, one channel a texel
   kRg8Unorm = 11,
   kRgba8Snorm = 12,
-  kRgba32Uint = 13,  ///< texel buffers of int8 tensors, 16 channels a texel
+  kRgba32Uint = 13,  ///< texel buffers of int8 tensors, 16 channels a texel; of linear images
+  kRg32Uint = 14,    ///< texel buffers of linear images
 };
-inline constexpr uint32_t kImageFormatCount = 14;
+inline constexpr uint32_t kImageFormatCount = 15;
 
 /// Names as in frame.json ("rgba8_unorm") and in GLSL layouts ("rgba8"), bytes and channels of a
 /// texel.
@@ -96,13 +97,27 @@ struct Resource {
   std::vector<int64_t> shape;                ///< NHWC for activations; row-major, dense
   std::optional<Quantization> quantization;  ///< known only where frame.json states it
   uint64_t offset_bytes = 0;  ///< in the arena (kIntermediate) or the weight blob (kWeights)
-  uint64_t size_bytes = 0;    ///< of a tensor
+  uint64_t size_bytes = 0;    ///< of a tensor or a linear image
   // Images:
   ImageFormat format = ImageFormat::kNone;
   uint32_t width = 0, height = 0;
   uint32_t history_depth = 0;  ///< kImageHistory: number of images in the ring, at least 2
   bool operator==(const Resource&) const = default;
 };
+
+/// A linear image is one of the frame loop's own whose texels lie in a buffer, row after row: for
+/// drivers that read and write images much slower than buffers. It has a size in bytes.
+inline bool is_linear(const Resource& resource) {
+  return is_image(resource.category) && resource.size_bytes != 0;
+}
+
+/// Rows of linear images start at multiples of this, so that texel buffers of any format see whole
+/// texels.
+inline constexpr uint32_t kLinearRowAlignment = 64;
+
+/// From one row of a linear image to the next, in texels: a whole number, since the alignment is a
+/// multiple of every texel's bytes.
+uint32_t linear_pitch(ImageFormat format, uint32_t width);
 
 /// Bytes that a buffer descriptor of a tensor spans: its size, rounded up to whole 32-bit words, so
 /// that kernels may address int8 tensors by words. What the last word holds beyond the tensor means
@@ -116,10 +131,11 @@ enum class BindingType : uint8_t {
   kUniformTexelBuffer = 1,  ///< `view_format` tells how elements are read
   kSampledImage = 2,        ///< read by texelFetch, no sampler
   kStorageImage = 3,
+  kTransfer = 4,  ///< no descriptor: what a transfer reads or writes
 };
-inline constexpr uint32_t kBindingTypeCount = 4;
+inline constexpr uint32_t kBindingTypeCount = 5;
 
-/// One descriptor of set 0: the whole of a resource.
+/// One descriptor of set 0, or an end of a transfer: the whole of a resource.
 struct Binding {
   uint32_t binding = 0;
   BindingType type = BindingType::kStorageBuffer;
@@ -181,10 +197,15 @@ struct View {
   bool operator==(const View&) const = default;
 };
 
-enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1 };
+enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1, kTransfer = 2 };
 
-/// Dispatches in order. A pre or post pass is a kCompute segment around the kGraph segment; a
-/// variant without a kGraph segment is a sandwich without a network.
+/// What the dispatches of a kTransfer segment do, by their kernel; they have no module. A copy reads
+/// binding 0 and writes binding 1, images of one format and extent of which one is linear and the
+/// other is not. A clear writes zeros to binding 0, a linear image.
+inline constexpr std::string_view kCopyKernel = "copy", kClearKernel = "clear";
+
+/// Dispatches in order. A pre or post pass is a kCompute or kTransfer segment around the kGraph
+/// segment; a variant without a kGraph segment is a sandwich without a network.
 struct Segment {
   std::string name;
   SegmentKind kind = SegmentKind::kGraph;

@@ -18,6 +18,7 @@ VkDescriptorType descriptor_type(BindingType type) {
     case BindingType::kUniformTexelBuffer: return VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER;
     case BindingType::kSampledImage: return VK_DESCRIPTOR_TYPE_SAMPLED_IMAGE;
     case BindingType::kStorageImage: return VK_DESCRIPTOR_TYPE_STORAGE_IMAGE;
+    case BindingType::kTransfer: break;
   }
   return VK_DESCRIPTOR_TYPE_MAX_ENUM;
 }
@@ -110,10 +111,11 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
   std::vector<Wanted> dispatches;
   std::vector<std::vector<Access>> touched;
   for (const Segment& segment : result->variant_.segments) {
-    const bool is_pass = segment.kind == SegmentKind::kCompute;
-    if (scope == Scope::kGraph && is_pass) continue;
+    const bool is_graph = segment.kind == SegmentKind::kGraph;
+    if (scope == Scope::kGraph && !is_graph) continue;
     for (const Dispatch& dispatch : segment.dispatches) {
-      dispatches.push_back({&dispatch, is_pass ? param_bytes(variant) : 0});
+      dispatches.push_back(
+          {&dispatch, is_graph ? 0 : param_bytes(variant), segment.kind == SegmentKind::kTransfer});
       touched.push_back(accesses(result->variant_, dispatch));
     }
   }
@@ -138,8 +140,14 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
   std::map<LayoutKey, size_t> layout_index;
   std::map<std::pair<uint32_t, size_t>, size_t> pipeline_index;
   std::vector<Unique> wanted;
-  std::vector<size_t> pipeline_of_step;
-  for (const auto& [dispatch, push_bytes] : dispatches) {
+  std::vector<std::optional<size_t>> pipeline_of_step;
+  for (const auto& [dispatch, push_bytes, is_transfer] : dispatches) {
+    if (is_transfer) {
+      pipeline_of_step.emplace_back();
+      steps_.push_back({.dispatch = dispatch, .is_transfer = true});
+      has_transfers_ = true;
+      continue;
+    }
     const auto [layout, new_layout] =
         layout_index.try_emplace(layout_key(*dispatch, push_bytes), layouts_.size());
     if (new_layout) {
@@ -176,15 +184,27 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
     }
   });
   for (size_t i = 0; i < steps_.size(); ++i) {
-    Result<void>& outcome = outcomes[pipeline_of_step[i]];
+    if (!pipeline_of_step[i]) continue;
+    Result<void>& outcome = outcomes[*pipeline_of_step[i]];
     if (!outcome) {
       outcome.error().where =
           fmt::format("dispatch \"{}\": {}", steps_[i].dispatch->name, outcome.error().where);
       return std::move(outcome.error());
     }
-    steps_[i].pipeline = pipelines_[pipeline_of_step[i]].get();
+    steps_[i].pipeline = pipelines_[*pipeline_of_step[i]].get();
   }
   return {};
+}
+
+void Kernels::barrier(VkCommandBuffer commands) const {
+  VkPipelineStageFlags stages = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT;
+  VkAccessFlags reads = VK_ACCESS_SHADER_READ_BIT, writes = VK_ACCESS_SHADER_WRITE_BIT;
+  if (has_transfers_) {
+    stages |= VK_PIPELINE_STAGE_TRANSFER_BIT;
+    reads |= VK_ACCESS_TRANSFER_READ_BIT;
+    writes |= VK_ACCESS_TRANSFER_WRITE_BIT;
+  }
+  vk::memory_barrier(commands, stages, writes, stages, reads | writes);
 }
 
 uint64_t Kernels::tensor_alignment() const {
@@ -229,8 +249,7 @@ Result<DescriptorSets> DescriptorSets::create(const Kernels& kernels,
   return result;
 }
 
-Result<void> DescriptorSets::write(size_t index,
-                                   const std::function<Target(const Binding&)>& target) {
+Result<void> DescriptorSets::write(size_t index, const TargetOf& target) {
   const VkDevice device = kernels_->context().device;
   const std::vector<Binding>& bindings = steps_[index]->dispatch->bindings;
   std::vector<VkDescriptorBufferInfo> buffers(bindings.size());
@@ -269,16 +288,43 @@ Result<void> DescriptorSets::write(size_t index,
   return {};
 }
 
-void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
+namespace {
+
+void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const Variant& variant,
+                     const TargetOf& target) {
+  const Target first = target(transfer.bindings[0]);
+  const Resource& image = variant.resources[transfer.bindings[0].resource];
+  if (transfer.kernel == kClearKernel) {
+    vkCmdFillBuffer(commands, first.buffer, first.offset, image.size_bytes, 0);
+    return;
+  }
+  const Target to = target(transfer.bindings[1]);
+  VkBufferImageCopy copy{};
+  copy.bufferOffset = first.buffer ? first.offset : to.offset;
+  copy.bufferRowLength = linear_pitch(image.format, image.width);
+  copy.imageSubresource = {VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1};
+  copy.imageExtent = {image.width, image.height, 1};
+  if (first.buffer)
+    vkCmdCopyBufferToImage(commands, first.buffer, to.image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
+  else
+    vkCmdCopyImageToBuffer(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, to.buffer, 1, &copy);
+}
+
+}  // namespace
+
+void record_steps(VkCommandBuffer commands, const Kernels& kernels,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
-                  vk::Timestamps* timestamps) {
+                  const TargetOf& target, vk::Timestamps* timestamps) {
+  const std::span<const Step> steps = kernels.steps();
   if (timestamps) timestamps->start(commands);
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& step = steps[i];
-    if (step.barrier_before)
-      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
-                         VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
-                         VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
+    if (step.barrier_before) kernels.barrier(commands);
+    if (step.is_transfer) {
+      record_transfer(commands, *step.dispatch, kernels.variant(), target);
+      if (timestamps) timestamps->mark(commands);
+      continue;
+    }
     vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
     vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],
                             0, nullptr);

@@ -30,6 +30,7 @@ struct Step {
   VkPipelineLayout layout = VK_NULL_HANDLE;
   VkPipeline pipeline = VK_NULL_HANDLE;
   bool takes_params = false;  ///< its layout has the variant's push constants
+  bool is_transfer = false;   ///< has no handles
   bool barrier_before = false;
 };
 
@@ -53,6 +54,11 @@ class Kernels {
   std::span<const Step> steps() const { return steps_; }
   VkBuffer weights() const { return weights_.get(); }
 
+  /// A barrier between earlier and later steps, for all that they do.
+  void barrier(VkCommandBuffer commands) const;
+  /// True if the scope has transfers.
+  bool has_transfers() const { return has_transfers_; }
+
   /// Offsets of caller's buffers must be multiples of this.
   uint64_t tensor_alignment() const;
 
@@ -61,6 +67,7 @@ class Kernels {
   struct Wanted {
     const Dispatch* dispatch;
     uint32_t push_bytes;
+    bool is_transfer;
   };
   Result<void> create_pipelines(const Variant& variant, std::span<const Wanted> dispatches,
                                 VkPipelineCache cache);
@@ -72,26 +79,30 @@ class Kernels {
   std::vector<vk::PipelineLayoutHandle> layouts_;
   std::vector<vk::PipelineHandle> pipelines_;
   std::vector<Step> steps_;
+  bool has_transfers_ = false;
 };
 
-/// What a binding leads to: a buffer from `offset` on, or the view of an image in
-/// VK_IMAGE_LAYOUT_GENERAL.
+/// What a binding leads to: a buffer from `offset` on, or an image in VK_IMAGE_LAYOUT_GENERAL: its
+/// view for shaders, itself for transfers.
 struct Target {
   VkBuffer buffer = VK_NULL_HANDLE;
   uint64_t offset = 0;
   VkImageView view = VK_NULL_HANDLE;
+  VkImage image = VK_NULL_HANDLE;
 };
+using TargetOf = std::function<Target(const Binding&)>;
 
 /// Descriptor sets, one for each of the steps given to create.
 class DescriptorSets {
  public:
+  /// `steps` are no transfers.
   /// Errors: kDevice.
   static Result<DescriptorSets> create(const Kernels& kernels, std::span<const Step* const> steps);
 
   /// Points set `index` at what `target` answers for each binding of its dispatch. No pending
   /// command buffer may use the set.
   /// Errors: kDevice.
-  Result<void> write(size_t index, const std::function<Target(const Binding&)>& target);
+  Result<void> write(size_t index, const TargetOf& target);
 
   VkDescriptorSet operator[](size_t index) const { return sets_[index]; }
 
@@ -103,12 +114,12 @@ class DescriptorSets {
   std::vector<std::vector<vk::BufferViewHandle>> texel_views_;  // by set
 };
 
-/// Records the steps in order, each with its set and the barrier before it; `params` are the push
-/// constants of steps that take them, `timestamps` may be null and otherwise is started and marked
-/// after each step.
-void record_steps(VkCommandBuffer commands, std::span<const Step> steps,
+/// Records the steps of a variant in order, each with its set and the barrier before it; `params`
+/// are the push constants of steps that take them, `target` answers for the ends of transfers,
+/// `timestamps` may be null and otherwise is started and marked after each step.
+void record_steps(VkCommandBuffer commands, const Kernels& kernels,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
-                  vk::Timestamps* timestamps);
+                  const TargetOf& target, vk::Timestamps* timestamps);
 
 /// Index of the first variant that a device with `caps` can run.
 /// Errors: kDevice, telling what is missing for each variant.

@@ -114,12 +114,12 @@ Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamp
               "is not bound yet");
     for (size_t i = 0; i < kernels.steps().size(); ++i)
       SHALE_TRY_VOID(state_->descriptors.write(i, [&](const Binding& binding) {
-        return Target{state_->buffers[binding.resource], state_->offsets[binding.resource],
-                      VK_NULL_HANDLE};
+        return Target{.buffer = state_->buffers[binding.resource],
+                      .offset = state_->offsets[binding.resource]};
       }));
     state_->descriptors_written = true;
   }
-  record_steps(commands, kernels.steps(), state_->sets, {}, timestamps);
+  record_steps(commands, kernels, state_->sets, {}, {}, timestamps);
   return {};
 }
 

@@ -14,6 +14,7 @@ namespace {
 
 constexpr uint32_t kMaxFramesInFlight = 8;
 constexpr uint32_t kMaxPhases = 64;
+constexpr VkImageUsageFlags kShaderUsages = VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT;
 
 bool is_host_image(Category category) {
   return category == Category::kImageInput || category == Category::kImageOutput;
@@ -21,6 +22,7 @@ bool is_host_image(Category category) {
 
 /// Leads to different images in different frames, so its set depends on the frame.
 bool changes_by_frame(const Step& step, const Variant& variant) {
+  if (step.is_transfer) return false;  // has no set
   const std::vector<Binding>& bindings = step.dispatch->bindings;
   return std::any_of(bindings.begin(), bindings.end(), [&](const Binding& binding) {
     const Category category = variant.resources[binding.resource].category;
@@ -47,11 +49,12 @@ Result<uint32_t> ring_phases(const Variant& variant) {
 struct FrameLoop::State {
   std::unique_ptr<Kernels> kernels;
   vk::Buffer arena;
-  vk::Buffer graph_tensors;                    // inputs and outputs of the graph
-  std::vector<uint64_t> offsets;               // of tensors in their buffer, by resource
-  std::vector<std::vector<vk::Image>> images;  // own ones, by resource: one, or the ring
-  std::vector<bool> is_used;                   // by resource: some dispatch binds it
-  std::vector<ImageView> host_images;          // by resource
+  vk::Buffer graph_tensors;                     // inputs and outputs of the graph
+  std::vector<uint64_t> offsets;                // of tensors in their buffer, by resource
+  std::vector<std::vector<vk::Image>> images;   // own ones, by resource: one, or the ring
+  std::vector<std::vector<vk::Buffer>> linear;  // own linear ones, as `images`
+  std::vector<VkImageUsageFlags> usages;        // by resource: of images, as steps use them; or 0
+  std::vector<ImageView> host_images;           // by resource
 
   DescriptorSets descriptors;
   std::vector<std::vector<VkDescriptorSet>> sets;  // by slot, then by step
@@ -65,10 +68,17 @@ struct FrameLoop::State {
 
   Result<void> create_tensors();
   Result<void> create_images();
+  uint32_t slot_of(uint32_t resource, uint32_t frames_back) const;
   Result<void> create_sets(uint32_t slots);
   void set(const Param& param, std::span<const float> values);
   Target target(const Binding& binding) const;
   void record_clears(VkCommandBuffer commands) const;
+  /// Of a ring, what the last frame left.
+  template <typename T>
+  const T& last(const std::vector<T>& ring) const {
+    // `frame` is the next one already; before the first frame every slot is as good.
+    return ring[(frame == 0 ? 0 : frame - 1) % ring.size()];
+  }
 };
 
 FrameLoop::FrameLoop(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -88,7 +98,8 @@ Result<FrameLoop> FrameLoop::create(const vk::Context& context, const Package& p
   const size_t count = variant.resources.size();
   state->offsets.resize(count);
   state->images.resize(count);
-  state->is_used.resize(count);
+  state->linear.resize(count);
+  state->usages.resize(count);
   state->host_images.resize(count);
   SHALE_TRY_VOID(state->create_tensors());
   SHALE_TRY_VOID(state->create_images());
@@ -119,22 +130,29 @@ Result<void> FrameLoop::State::create_tensors() {
 
 Result<void> FrameLoop::State::create_images() {
   const Variant& variant = kernels->variant();
-  std::vector<VkImageUsageFlags> usages(variant.resources.size());
-  for (const Step& step : kernels->steps()) {
-    for (const Binding& binding : step.dispatch->bindings) {
-      is_used[binding.resource] = true;
-      usages[binding.resource] |= binding.type == BindingType::kStorageImage
-                                      ? VK_IMAGE_USAGE_STORAGE_BIT
-                                      : VK_IMAGE_USAGE_SAMPLED_BIT;
-    }
-  }
+  for (const Step& step : kernels->steps())
+    for (const Binding& binding : step.dispatch->bindings)
+      usages[binding.resource] |=
+          binding.type == BindingType::kStorageImage ? VK_IMAGE_USAGE_STORAGE_BIT
+          : binding.type != BindingType::kTransfer   ? VK_IMAGE_USAGE_SAMPLED_BIT
+          : binding.writes                           ? VK_IMAGE_USAGE_TRANSFER_DST_BIT
+                                                     : VK_IMAGE_USAGE_TRANSFER_SRC_BIT;
   std::vector<VkImageMemoryBarrier> barriers;
   for (size_t i = 0; i < variant.resources.size(); ++i) {
     const Resource& resource = variant.resources[i];
-    if (!is_image(resource.category) || is_host_image(resource.category) || !is_used[i]) continue;
+    if (!is_image(resource.category) || is_host_image(resource.category) || !usages[i]) continue;
     for (uint32_t slot = 0; slot < std::max(resource.history_depth, 1u); ++slot) {
+      if (is_linear(resource)) {
+        SHALE_TRY(linear[i].emplace_back(),
+                  vk::Buffer::create(kernels->context(), padded_bytes(resource.size_bytes),
+                                     kTensorBufferUsage, vk::MemoryKind::kDevice));
+        continue;
+      }
+      // A view, which every image gets, needs a usage by shaders.
+      const VkImageUsageFlags usage =
+          usages[i] & kShaderUsages ? usages[i] : usages[i] | VK_IMAGE_USAGE_SAMPLED_BIT;
       auto image = vk::Image::create(kernels->context(), resource.format,
-                                     {resource.width, resource.height}, usages[i]);
+                                     {resource.width, resource.height}, usage);
       if (!image) {
         image.error().where = fmt::format("image \"{}\"", resource.name);
         return std::move(image.error());
@@ -167,6 +185,7 @@ Result<void> FrameLoop::State::create_sets(uint32_t slots) {
   slot_bindings.resize(slots);
   std::vector<std::vector<size_t>> index(slots);  // by slot, then by step
   for (const Step& step : kernels->steps()) {
+    if (step.is_transfer) continue;
     const bool changes = changes_by_frame(step, kernels->variant());
     if (!changes) fixed.push_back(owners.size());
     for (uint32_t slot = 0; slot < slots; ++slot) {
@@ -176,11 +195,21 @@ Result<void> FrameLoop::State::create_sets(uint32_t slots) {
     }
   }
   SHALE_TRY(descriptors, DescriptorSets::create(*kernels, owners));
-  for (uint32_t slot = 0; slot < slots; ++slot)
-    for (const size_t i : index[slot]) sets[slot].push_back(descriptors[i]);
+  for (uint32_t slot = 0; slot < slots; ++slot) {
+    auto next = index[slot].begin();
+    for (const Step& step : kernels->steps())
+      sets[slot].push_back(step.is_transfer ? VK_NULL_HANDLE : descriptors[*next++]);
+  }
   for (const size_t i : fixed)
     SHALE_TRY_VOID(descriptors.write(i, [&](const Binding& binding) { return target(binding); }));
   return {};
+}
+
+/// In the ring of an own image, in the frame that is being recorded.
+uint32_t FrameLoop::State::slot_of(uint32_t resource, uint32_t frames_back) const {
+  // frames_back is below the depth, so the sum never wraps.
+  const uint32_t depth = std::max(kernels->variant().resources[resource].history_depth, 1u);
+  return static_cast<uint32_t>((frame % depth + depth - frames_back) % depth);
 }
 
 /// In the frame that is being recorded.
@@ -188,17 +217,23 @@ Target FrameLoop::State::target(const Binding& binding) const {
   const Resource& resource = kernels->variant().resources[binding.resource];
   switch (resource.category) {
     case Category::kInput:
-    case Category::kOutput: return {graph_tensors.get(), offsets[binding.resource], VK_NULL_HANDLE};
-    case Category::kIntermediate: return {arena.get(), offsets[binding.resource], VK_NULL_HANDLE};
-    case Category::kWeights: return {kernels->weights(), offsets[binding.resource], VK_NULL_HANDLE};
+    case Category::kOutput:
+      return {.buffer = graph_tensors.get(), .offset = offsets[binding.resource]};
+    case Category::kIntermediate:
+      return {.buffer = arena.get(), .offset = offsets[binding.resource]};
+    case Category::kWeights:
+      return {.buffer = kernels->weights(), .offset = offsets[binding.resource]};
     case Category::kImageInput:
-    case Category::kImageOutput: return {VK_NULL_HANDLE, 0, host_images[binding.resource].view};
-    case Category::kImageInternal: return {VK_NULL_HANDLE, 0, images[binding.resource][0].view()};
+    case Category::kImageOutput: {
+      const ImageView& host = host_images[binding.resource];
+      return {.view = host.view, .image = host.image};
+    }
+    case Category::kImageInternal:
     case Category::kImageHistory: {
-      // frames_back is below the depth, so the sum never wraps.
-      const uint32_t depth = resource.history_depth;
-      const uint64_t slot = (frame % depth + depth - binding.frames_back) % depth;
-      return {VK_NULL_HANDLE, 0, images[binding.resource][slot].view()};
+      const uint32_t slot = slot_of(binding.resource, binding.frames_back);
+      if (is_linear(resource)) return {.buffer = linear[binding.resource][slot].get()};
+      const vk::Image& image = images[binding.resource][slot];
+      return {.view = image.view(), .image = image.get()};
     }
   }
   return {};
@@ -212,6 +247,8 @@ void FrameLoop::State::record_clears(VkCommandBuffer commands) const {
     if (resource.category == Category::kOutput)
       vkCmdFillBuffer(commands, graph_tensors.get(), offsets[i], bound_bytes(resource), 0);
     if (resource.category != Category::kImageHistory) continue;
+    for (const vk::Buffer& buffer : linear[i])
+      vkCmdFillBuffer(commands, buffer.get(), 0, buffer.size_bytes(), 0);
     for (const vk::Image& image : images[i])
       vkCmdClearColorImage(commands, image.get(), VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
                            &vk::kWholeImage);
@@ -220,13 +257,23 @@ void FrameLoop::State::record_clears(VkCommandBuffer commands) const {
 
 const Variant& FrameLoop::variant() const { return state_->kernels->variant(); }
 
+VkImageUsageFlags FrameLoop::image_usage(std::string_view name) const {
+  const std::vector<Resource>& resources = variant().resources;
+  for (size_t i = 0; i < resources.size(); ++i)
+    if (resources[i].name == name && is_host_image(resources[i].category)) return state_->usages[i];
+  return 0;
+}
+
 Result<void> FrameLoop::bind_image(std::string_view name, const ImageView& image) {
   const std::vector<Resource>& resources = variant().resources;
   for (size_t i = 0; i < resources.size(); ++i) {
     const Resource& resource = resources[i];
     if (resource.name != name || !is_host_image(resource.category)) continue;
     const std::string where = fmt::format("image \"{}\"", name);
-    if (image.view == VK_NULL_HANDLE) return bad_input(where, "no view is given");
+    if (image.view == VK_NULL_HANDLE && (state_->usages[i] & kShaderUsages))
+      return bad_input(where, "no view is given");
+    if (image.image == VK_NULL_HANDLE && (state_->usages[i] & ~kShaderUsages))
+      return bad_input(where, "no VkImage is given, and the package copies it");
     if (image.format != vk::vk_format(resource.format))
       return bad_input(where, "has VkFormat {}, expected {} ({})", static_cast<int>(image.format),
                        static_cast<int>(vk::vk_format(resource.format)),
@@ -272,8 +319,8 @@ Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timesta
   State& state = *state_;
   const std::vector<Resource>& resources = variant().resources;
   for (size_t i = 0; i < resources.size(); ++i)
-    if (is_host_image(resources[i].category) && state.is_used[i] &&
-        state.host_images[i].view == VK_NULL_HANDLE)
+    if (is_host_image(resources[i].category) && state.usages[i] &&
+        state.host_images[i].format == VK_FORMAT_UNDEFINED)
       return bad_input(fmt::format("image \"{}\"", resources[i].name), "is not bound yet");
 
   // The slot's last frame is at least frames_in_flight back, so the device is done with its sets.
@@ -298,10 +345,13 @@ Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timesta
     vk::memory_barrier(commands, kCompute | kTransfer,
                        VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT, kCompute, kUse);
     state.clear_history = false;
-  } else {
-    vk::memory_barrier(commands, kCompute, VK_ACCESS_SHADER_WRITE_BIT, kCompute, kUse);
   }
-  record_steps(commands, state.kernels->steps(), state.sets[slot], state.params, timestamps);
+  state.kernels->barrier(commands);
+  record_steps(
+      commands, *state.kernels, state.sets[slot], state.params,
+      [&](const Binding& binding) { return state.target(binding); }, timestamps);
+  // The host waits for shaders, whatever wrote its images.
+  if (state.kernels->has_transfers()) state.kernels->barrier(commands);
   ++state.frame;
   return {};
 }
@@ -315,6 +365,8 @@ Result<TensorView> FrameLoop::tensor(std::string_view name) const {
     if (resource.name == name &&
         (resource.category == Category::kInput || resource.category == Category::kOutput))
       return TensorView{state_->graph_tensors.get(), state_->offsets[i], bound_bytes(resource)};
+    if (resource.name == name && !state_->linear[i].empty())
+      return TensorView{state_->last(state_->linear[i]).get(), 0, resource.size_bytes};
   }
   return bad_input("", "the network has no input or output \"{}\"", name);
 }
@@ -323,9 +375,7 @@ Result<VkImage> FrameLoop::image(std::string_view name) const {
   const std::vector<Resource>& resources = variant().resources;
   for (size_t i = 0; i < resources.size(); ++i) {
     if (resources[i].name != name || state_->images[i].empty()) continue;
-    // `frame` is the next one already; before the first frame every slot is as good.
-    const uint64_t last = state_->frame == 0 ? 0 : state_->frame - 1;
-    return state_->images[i][last % state_->images[i].size()].get();
+    return state_->last(state_->images[i]).get();
   }
   return bad_input("", "the frame loop has no image \"{}\"", name);
 }

@@ -15,12 +15,13 @@
 
 namespace shale {
 
-/// A host's image. The view is two-dimensional, with one level and layer and no swizzle; the image
-/// has VK_IMAGE_USAGE_SAMPLED_BIT and VK_IMAGE_USAGE_STORAGE_BIT as the package binds it.
+/// A host's image. The view is two-dimensional, with one level and layer and no swizzle, of the
+/// first level and layer of the image, which has the usage that FrameLoop::image_usage tells.
 struct ImageView {
-  VkImageView view = VK_NULL_HANDLE;
+  VkImageView view = VK_NULL_HANDLE;  ///< needed where that is sampled or storage
   VkFormat format = VK_FORMAT_UNDEFINED;
   VkExtent2D extent{};
+  VkImage image = VK_NULL_HANDLE;  ///< needed where that is a transfer
 };
 
 struct FrameLoopOptions {
@@ -44,6 +45,7 @@ struct FrameLoopOptions {
 ///    stage.
 ///  - After: output images are written by VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT /
 ///    VK_ACCESS_SHADER_WRITE_BIT.
+///    Both hold where the package copies an image, too.
 ///  - Barriers within a frame and between the frames of a loop are the loop's.
 ///
 /// History: in frame t a ring of depth n is written at slot t mod n; what a package calls k frames
@@ -71,9 +73,13 @@ class FrameLoop {
   /// and kImageOutput are what the host binds.
   const Variant& variant() const;
 
+  /// Usage that an image of the host must have: VK_IMAGE_USAGE_SAMPLED_BIT, _STORAGE_BIT,
+  /// _TRANSFER_SRC_BIT and _TRANSFER_DST_BIT, as the package uses it. 0 for other names.
+  VkImageUsageFlags image_usage(std::string_view name) const;
+
   /// Names the image for the frames recorded from now on.
-  /// Errors: kBadInput if the package has no input or output image of that name, or the format or
-  /// extent differs.
+  /// Errors: kBadInput if the package has no input or output image of that name, the format or
+  /// extent differs, or a handle is missing.
   Result<void> bind_image(std::string_view name, const ImageView& image);
 
   /// Sets a parameter of the package's passes for the frames recorded from now on. Integers are
@@ -98,13 +104,14 @@ class FrameLoop {
 
   /// Where a graph input or output lies, for hosts that fill or read one themselves; inputs that no
   /// pass writes have to be filled. The buffer allows transfers. Its barriers are then the host's,
-  /// as for images.
-  /// Errors: kBadInput if no graph input or output has that name.
+  /// as for images. Also where a linear image lies, as image() says of others.
+  /// Errors: kBadInput if no graph input or output and no linear image has that name.
   Result<TensorView> tensor(std::string_view name) const;
 
   /// An image of the loop's own as the last recorded frame left it, in VK_IMAGE_LAYOUT_GENERAL; of
   /// a history the one that it wrote. For debugging: it allows transfers from it.
-  /// Errors: kBadInput if no internal or history image has that name, or no pass uses it.
+  /// Errors: kBadInput if no internal or history image has that name, it is linear, or no pass uses
+  /// it.
   Result<VkImage> image(std::string_view name) const;
 
  private:

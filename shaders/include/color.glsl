@@ -19,10 +19,11 @@ bool is_nan(float x) { return (floatBitsToUint(x) & 0x7fffffffu) > 0x7f800000u; 
 /// x in [low, high]; `instead` for NaN.
 float finite_in(float x, float low, float high, float instead) { return is_nan(x) ? instead : clamp(x, low, high); }
 
-vec3 finite_color(vec3 c) {
-  return vec3(finite_in(c.r, 0.0, kMaxColor, 0.0), finite_in(c.g, 0.0, kMaxColor, 0.0),
-              finite_in(c.b, 0.0, kMaxColor, 0.0));
+float finite_component(float c) {
+  const int bits = max(floatBitsToInt(c), 0);
+  return intBitsToFloat(bits > 0x7f800000 ? 0 : min(bits, floatBitsToInt(kMaxColor)));
 }
+vec3 finite_color(vec3 c) { return vec3(finite_component(c.r), finite_component(c.g), finite_component(c.b)); }
 
 vec3 exposed(vec3 c, float exposure) { return least(c * exposure, vec3(kMaxColor)); }
 

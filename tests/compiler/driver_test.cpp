@@ -381,7 +381,7 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
       {"\"SIDE\": 2", "\"SIDE\": \"2\"", "frame.passes[0]: the definition \"SIDE\" is no name"},
       {"\"tensor\": \"x\", \"access\": \"write\"",
        "\"tensor\": \"x\", \"access\": \"write\", \"texels\": \"r8_sint\"",
-       "frame.passes[0].bindings[2]: \"texels\" is for tensors that are read"},
+       "frame.passes[0].bindings[2]: \"texels\" is for tensors and linear images that are read"},
       {"\"depth\": 3", "\"depth\": 1", "frame.images[2]: \"depth\" is 1"},
       {"\"depth\": 3", "\"depth\": 2.5", "frame.images[2]: \"depth\" is 2.5, expected an integer"},
       {"\"scale\": 0.5", "\"scale\": 0", "frame.tensors[0]: \"scale\" is 0"},
@@ -431,6 +431,55 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
   EXPECT_EQ(error_text(parse_frame(std::string(kFrame, 300))), "is not valid JSON");
 }
 
+// kFrame with what a pass does not do itself, and a history in a buffer.
+std::string linear_frame() {
+  std::string text =
+      replaced(kFrame, "\"depth\": 3}",
+               "\"depth\": 3, \"linear\": true},\n"
+               "{\"name\": \"raw\", \"role\": \"internal\", \"format\": \"rgba8_unorm\", "
+               "\"size\": \"render\", \"linear\": true}");
+  text = replaced(text, "\"passes\": [",
+                  "\"passes\": [{\"name\": \"take\", \"copy\": \"color\", \"to\": \"raw\"},\n"
+                  "{\"name\": \"empty\", \"clear\": \"kept\"},");
+  text =
+      replaced(text, "\"over\": \"color\"", "\"over\": {\"of\": \"render\", \"divide\": [4, 2]}");
+  return replaced(text, "\"access\": \"read\", \"frames_back\"",
+                  "\"access\": \"read\", \"texels\": \"rg32_uint\", \"frames_back\"");
+}
+
+TEST(FrameJson, ReadsTransfersAndLinearImages) {
+  const Frame frame = must(parse_frame(linear_frame()));
+  EXPECT_TRUE(frame.images[2].is_linear);
+  EXPECT_FALSE(frame.images[0].is_linear);
+  ASSERT_EQ(frame.passes.size(), 5u);
+  EXPECT_EQ(frame.passes[0].transfer, kCopyKernel);
+  ASSERT_EQ(frame.passes[0].bindings.size(), 2u);
+  EXPECT_EQ(frame.passes[0].bindings[0].name, "color");
+  EXPECT_TRUE(frame.passes[0].bindings[0].reads && !frame.passes[0].bindings[0].writes);
+  EXPECT_EQ(frame.passes[0].bindings[1].name, "raw");
+  EXPECT_TRUE(frame.passes[0].bindings[1].writes);
+  EXPECT_EQ(frame.passes[1].transfer, kClearKernel);
+  ASSERT_TRUE(frame.passes[2].over_size);
+  EXPECT_EQ((*frame.passes[2].over_size)({10, 6}, {20, 12}), (FrameExtent{3, 3}));
+  EXPECT_EQ(frame.passes[2].bindings[1].texels, ImageFormat::kRg32Uint);
+  const auto error = [](const char* from, const char* to) {
+    const std::string text = replaced(linear_frame(), from, to);
+    EXPECT_NE(text, linear_frame()) << from;
+    return error_text(parse_frame(text));
+  };
+  EXPECT_EQ(error("\"linear\": true}", "\"linear\": 1}"),
+            "frame.images[2]: \"linear\" must be true or false");
+  EXPECT_EQ(error("\"role\": \"internal\"", "\"role\": \"input\""),
+            "frame.images[3]: the host's images are not linear: copy them");
+  EXPECT_EQ(error(", \"to\": \"raw\"", ""), "frame.passes[0]: \"to\" must be a text");
+  EXPECT_EQ(error("\"clear\": \"kept\"", "\"clear\": 1"),
+            "frame.passes[1]: \"clear\" must be a text");
+  EXPECT_EQ(error("[4, 2]", "[4]"),
+            "frame.passes[2].over: \"divide\" must be one or two whole numbers from 1 to 64");
+  EXPECT_EQ(error("[4, 2]", "[4, 0]"),
+            "frame.passes[2].over: \"divide\" must be one or two whole numbers from 1 to 64");
+}
+
 TEST(FrameJson, SurvivesEveryCut) {
   const std::string text = kFrame;
   for (size_t length = 0; length < text.size(); ++length)
@@ -473,6 +522,48 @@ void main() { imageStore(shown, ivec2(gl_GlobalInvocationID.xy), vec4(y.d[0])); 
     return error_text(compile_text(kNetwork, options(text)));
   }
 };
+
+TEST_F(SandwichTest, KeepsLinearImagesInBuffers) {
+  CompileOptions with_buffers = options(linear_frame());
+  with_buffers.load_shader = [](const std::string& path) {
+    return Result<std::string>(path == "pre.comp" ? R"(#version 450
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0) uniform texture2D color;
+layout(set = 0, binding = 1) uniform utextureBuffer kept;
+layout(set = 0, binding = 2, std430) writeonly buffer X { int d[]; } x;
+void main() { x.d[0] = int(texelFetch(kept, KEPT_PITCH * (KEPT_HEIGHT - 1)).x) + SHALE_ON_CPU; })"
+                                                  : R"(#version 450
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0, std430) readonly buffer Y { int d[]; } y;
+layout(set = 0, binding = 1, rgba8) uniform writeonly image2D shown;
+layout(set = 0, binding = 2, std430) writeonly buffer Kept { uvec2 d[]; } kept;
+void main() { imageStore(shown, ivec2(0), vec4(y.d[0])); kept.d[0] = uvec2(0); })");
+  };
+  const Compiled compiled = must(compile_text(kNetwork, with_buffers));
+  const Variant& variant = compiled.package.variants[0];
+  ASSERT_EQ(variant.segments.size(), 5u);
+  EXPECT_EQ(variant.segments[0].kind, SegmentKind::kTransfer);
+  EXPECT_EQ(variant.segments[0].dispatches[0].kernel, "copy");
+  EXPECT_EQ(variant.segments[1].dispatches[0].kernel, "clear");
+  const Dispatch& pre = variant.segments[2].dispatches[0];
+  EXPECT_EQ(pre.bindings[1].type, BindingType::kUniformTexelBuffer);
+  EXPECT_EQ(pre.bindings[1].view_format, ImageFormat::kRg32Uint);
+  EXPECT_EQ(variant.segments[4].dispatches[0].bindings[2].type, BindingType::kStorageBuffer);
+  const Resource& kept = variant.resources[pre.bindings[1].resource];
+  EXPECT_TRUE(is_linear(kept));
+  EXPECT_EQ(kept.size_bytes, 8u * 8 * 8);  // rows of 8 texels of 8 bytes are 64 bytes
+  const auto error = [&](const char* from, const char* to) {
+    CompileOptions changed = with_buffers;
+    changed.frame = must(parse_frame(replaced(linear_frame(), from, to)));
+    return error_text(compile_text(kNetwork, changed));
+  };
+  EXPECT_EQ(error("\"depth\": 3, \"linear\": true", "\"depth\": 3"),
+            "pass \"pre\": reads texels of \"kept\", which is not linear");
+  EXPECT_EQ(error("\"access\": \"read\", \"texels\": \"rg32_uint\"", "\"access\": \"load\""),
+            "pass \"pre\": loads \"kept\", which is linear: read its texels");
+  EXPECT_NE(error("\"to\": \"raw\"", "\"to\": \"kept\"").find("has another format or extent"),
+            std::string::npos);
+}
 
 TEST_F(SandwichTest, PutsPassesAroundTheNetwork) {
   const Compiled compiled = must(compile_text(kNetwork, options(kFrame)));

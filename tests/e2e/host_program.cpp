@@ -170,20 +170,9 @@ struct FrameImage {
   size_t size = 0;
 };
 
-/// How the package binds its resource `index`.
-VkImageUsageFlags bound_usage(const shale::Variant& variant, size_t index) {
-  VkImageUsageFlags usage = 0;
-  for (const shale::Segment& segment : variant.segments)
-    for (const shale::Dispatch& dispatch : segment.dispatches)
-      for (const shale::Binding& binding : dispatch.bindings)
-        if (binding.resource == index)
-          usage |= binding.type == shale::BindingType::kStorageImage ? VK_IMAGE_USAGE_STORAGE_BIT
-                                                                     : VK_IMAGE_USAGE_SAMPLED_BIT;
-  return usage;
-}
-
-FrameImage create_image(const Application& app, const shale::Variant& variant, size_t index) {
-  const shale::Resource& resource = variant.resources[index];
+/// `usage`: what the package does with it.
+FrameImage create_image(const Application& app, const shale::Resource& resource,
+                        VkImageUsageFlags usage) {
   FrameImage result;
   result.resource = &resource;
   result.size = size_t{resource.width} * resource.height *
@@ -195,8 +184,7 @@ FrameImage create_image(const Application& app, const shale::Variant& variant, s
   info.mipLevels = 1;
   info.arrayLayers = 1;
   info.samples = VK_SAMPLE_COUNT_1_BIT;
-  info.usage = bound_usage(variant, index) | VK_IMAGE_USAGE_TRANSFER_SRC_BIT |
-               VK_IMAGE_USAGE_TRANSFER_DST_BIT;
+  info.usage = usage | VK_IMAGE_USAGE_TRANSFER_SRC_BIT | VK_IMAGE_USAGE_TRANSFER_DST_BIT;
   check(vkCreateImage(app.device, &info, nullptr, &result.image), "vkCreateImage");
   VkMemoryRequirements needs;
   vkGetImageMemoryRequirements(app.device, result.image, &needs);
@@ -207,7 +195,8 @@ FrameImage create_image(const Application& app, const shale::Variant& variant, s
   view_info.viewType = VK_IMAGE_VIEW_TYPE_2D;
   view_info.format = info.format;
   view_info.subresourceRange = {VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, 1};
-  check(vkCreateImageView(app.device, &view_info, nullptr, &result.view), "vkCreateImageView");
+  if (usage & (VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT))
+    check(vkCreateImageView(app.device, &view_info, nullptr, &result.view), "vkCreateImageView");
 
   auto buffer_info = typed<VkBufferCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO);
   buffer_info.size = result.size;
@@ -336,11 +325,12 @@ uint64_t run_frame(const Application& app, const shale::Package& package) {
     const shale::Resource& resource = variant.resources[i];
     if (resource.category != Category::kImageInput && resource.category != Category::kImageOutput)
       continue;
-    images.push_back(create_image(app, variant, i));
+    images.push_back(create_image(app, resource, loop.image_usage(resource.name)));
     if (resource.category == Category::kImageInput) fill(images.back());
-    check(loop.bind_image(
-        resource.name,
-        {images.back().view, format_of(resource.format), {resource.width, resource.height}}));
+    check(loop.bind_image(resource.name, {images.back().view,
+                                          format_of(resource.format),
+                                          {resource.width, resource.height},
+                                          images.back().image}));
   }
 
   auto pool_info = typed<VkCommandPoolCreateInfo>(VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO);

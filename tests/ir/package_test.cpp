@@ -107,6 +107,36 @@ Package sample_package() {
   return p;
 }
 
+/// sample_package behind a copy of its input image into a linear one, and with another that is cleared and read.
+Package linear_package() {
+  Package p = sample_package();
+  Variant& v = p.variants[0];
+  Resource raw = image("raw", Category::kImageInternal, ImageFormat::kRgba16Float, 0);
+  raw.size_bytes = 8 * 128;  // 8 rows of 16 texels of 8 bytes
+  Resource kept = image("kept", Category::kImageHistory, ImageFormat::kR32Uint, 2);
+  kept.size_bytes = 8 * 64;
+  v.resources.push_back(raw);
+  v.resources.push_back(kept);
+  const auto none = ImageFormat::kNone;
+  const auto transfer = BindingType::kTransfer;
+  const Dispatch take{
+      "take",
+      "copy",
+      0,
+      {1, 1, 1},
+      {{0, transfer, 4, none, true, false, 0}, {1, transfer, 8, none, false, true, 0}},
+      {}};
+  const Dispatch empty{"empty", "clear", 0, {1, 1, 1}, {{0, transfer, 9, none, false, true, 0}},
+                       {}};
+  v.segments.insert(v.segments.begin(), {"transfers", SegmentKind::kTransfer, {take, empty}});
+  v.segments[1].dispatches[0].bindings.push_back(
+      {3, BindingType::kUniformTexelBuffer, 8, ImageFormat::kRgba32Uint, true, false, 0});
+  v.segments[1].dispatches[0].bindings.push_back(
+      {4, BindingType::kStorageBuffer, 9, none, false, true, 0});
+  v.requirements = binding_requirements(v);
+  return p;
+}
+
 std::string refusal(std::span<const uint8_t> bytes) {
   const Result<Package> result = read_package(bytes);
   return result ? "accepted" : result.error().text();
@@ -192,9 +222,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.2 is newer than 1.2, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.3 is newer than 1.3, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.2 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.3 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -324,8 +354,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"w\": bytes 256 to 256 + 64 leave the weights of 300 bytes"},
     {"InputOffset", [](Package& p) { resource(p, 0).offset_bytes = 256; },
      "variant 0, resource \"x\": a tensor bound by the caller has offset 256"},
-    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(14); },
-     "variant 0, resource \"color\": image format 14 does not exist"},
+    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(15); },
+     "variant 0, resource \"color\": image format 15 does not exist"},
     {"ImageFormatOfTexels", [](Package& p) { resource(p, 4).format = ImageFormat::kR8Sint; },
      "variant 0, resource \"color\": an image cannot have the format r8_sint"},
     {"ImageWithoutExtent", [](Package& p) { resource(p, 4).height = 0; },
@@ -344,8 +374,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, module 1: holds no SPIR-V"},
     {"SegmentNameTwice", [](Package& p) { variant(p).segments[2].name = "pre"; },
      "variant 0, segment 2: the segment name \"pre\" is taken already"},
-    {"SegmentKindNumber", [](Package& p) { variant(p).segments[2].kind = number<SegmentKind>(2); },
-     "variant 0, segment 2: segment kind 2 does not exist"},
+    {"SegmentKindNumber", [](Package& p) { variant(p).segments[2].kind = number<SegmentKind>(3); },
+     "variant 0, segment 2: segment kind 3 does not exist"},
     {"ParamNameTwice", [](Package& p) { variant(p).params[1].name = "jitter"; },
      "variant 0, parameter \"jitter\": the parameter name \"jitter\" is taken already"},
     {"ParamComponents", [](Package& p) { variant(p).params[0].components = 5; },
@@ -396,8 +426,8 @@ const BadPackage kBadPackages[] = {
     {"BindingTwice", [](Package& p) { dispatch(p, 1, 0).bindings[1].binding = 0; },
      "variant 0, dispatch \"conv1\", binding 0: the binding number is taken already"},
     {"BindingTypeNumber",
-     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = number<BindingType>(4); },
-     "variant 0, dispatch \"conv1\", binding 1: binding type 4 does not exist"},
+     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = number<BindingType>(5); },
+     "variant 0, dispatch \"conv1\", binding 1: binding type 5 does not exist"},
     {"ViewFormatNumber",
      [](Package& p) { dispatch(p, 1, 0).bindings[0].view_format = number<ImageFormat>(99); },
      "variant 0, dispatch \"conv1\", binding 0: view format 99 does not exist"},
@@ -487,7 +517,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.2\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.3\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\", arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",
@@ -531,6 +561,77 @@ TEST(Caps, MissingNamesEachShortfall) {
             (std::vector<std::string>{"shaderIntegerDotProduct is not supported",
                                       "maxComputeWorkGroupInvocations is 128, needs 256",
                                       "maxPerStageDescriptorStorageImages is 0, needs 1"}));
+}
+
+TEST(LinearImages, ComeBackAsTheyWere) {
+  const Package package = linear_package();
+  ASSERT_TRUE(check_package(package));
+  const Result<Package> again = read_package(write_package(package));
+  ASSERT_TRUE(again);
+  EXPECT_EQ(*again, package);
+  const std::string dump = dump_package(package);
+  EXPECT_NE(dump.find("rgba16_float 16x8 linear, 1024 bytes \"raw\""), std::string::npos) << dump;
+  EXPECT_NE(dump.find("segment \"transfers\" (transfer): 2 dispatches"), std::string::npos) << dump;
+  EXPECT_EQ(linear_pitch(ImageFormat::kRgba16Float, 17), 24u);
+  EXPECT_EQ(linear_pitch(ImageFormat::kR8Unorm, 1), 64u);
+}
+
+TEST(LinearImages, AndTransfersFollowRules) {
+  struct Row {
+    void (*change)(Variant&);
+    const char* message;
+  };
+  const Row rows[] = {
+      {[](Variant& v) { v.resources[8].size_bytes = 1023; },
+       "resource \"raw\": size is 1023 bytes, the extent makes 1024"},
+      {[](Variant& v) { v.resources[4].size_bytes = 1024; },
+       "resource \"color\": an image of the host has a size of 1024 bytes"},
+      {[](Variant& v) { v.resources[8].size_bytes = 0; },
+       "dispatch \"take\": copies \"color\" to \"raw\", of which one must be linear"},
+      {[](Variant& v) { v.segments[0].dispatches[0].kernel = "move"; },
+       "dispatch \"take\": \"move\" is no transfer"},
+      {[](Variant& v) { v.segments[0].dispatches[0].module = 1; },
+       "dispatch \"take\": a transfer has a module or a grid"},
+      {[](Variant& v) { v.segments[0].dispatches[0].workgroups[0] = 2; },
+       "dispatch \"take\": a transfer has a module or a grid"},
+      {[](Variant& v) { v.segments[0].dispatches[0].bindings.pop_back(); },
+       "dispatch \"take\": has 1 ends, expected 2"},
+      {[](Variant& v) { v.segments[0].dispatches[0].bindings[0].binding = 2; },
+       "dispatch \"take\": the ends of a transfer are out of order"},
+      {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].reads = true; },
+       "dispatch \"take\": the ends of a transfer are out of order"},
+      {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].resource = 9; },
+       "dispatch \"take\": copies \"color\" to \"kept\", which has another format or extent"},
+      {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].resource = 0; },
+       "dispatch \"take\", binding 1: an image descriptor leads to the tensor \"x\""},
+      {[](Variant& v) { v.segments[0].dispatches[1].bindings[0].resource = 7; },
+       "dispatch \"empty\": clears \"scratch\", which is no linear image"},
+      {[](Variant& v) {
+         v.segments[0].dispatches[1].bindings[0].type = BindingType::kStorageBuffer;
+       },
+       "dispatch \"empty\", binding 0: transfer segments have transfer bindings, and no others do"},
+      {[](Variant& v) { v.segments[1].dispatches[0].bindings[0].type = BindingType::kTransfer; },
+       "dispatch \"pack\", binding 0: transfer segments have transfer bindings, and no others do"},
+      {[](Variant& v) {
+         v.segments[1].dispatches[0].bindings[4].type = BindingType::kStorageImage;
+       },
+       "dispatch \"pack\", binding 3: an image descriptor leads to the linear image \"raw\""},
+      {[](Variant& v) {
+         v.segments[1].dispatches[0].bindings[4].view_format = ImageFormat::kR32Float;
+       },
+       "dispatch \"pack\", binding 3: a texel buffer cannot have the view format r32_float"},
+      {[](Variant& v) { v.segments[1].dispatches[0].bindings[4].writes = true; },
+       "dispatch \"pack\", binding 3: a uniform texel buffer is written"},
+      {[](Variant& v) { v.segments[1].dispatches[0].bindings[5].frames_back = 1; },
+       "dispatch \"pack\", binding 4: an earlier frame's \"kept\" is written"},
+  };
+  for (const Row& row : rows) {
+    Package package = linear_package();
+    row.change(package.variants[0]);
+    const Result<void> checked = check_package(package);
+    ASSERT_FALSE(checked) << row.message;
+    EXPECT_EQ(checked.error().text(), std::string("variant 0, ") + row.message);
+  }
 }
 
 }  // namespace

@@ -157,6 +157,85 @@ TEST_F(FrameLoopTest, MeasuresAllSegments) {
             "3 intervals were measured, expected 2 dispatches");
 }
 
+/// Shows the colours of the frame before, from a history in a buffer; and zeros, from one that is filled and then cleared.
+Package transfers() {
+  enum : uint32_t { kColor, kKept, kScratch, kShown, kEmpty };
+  const auto image = [](const char* name, Category category, bool linear, uint32_t depth = 0) {
+    Resource resource;
+    resource.name = name;
+    resource.category = category;
+    resource.format = kColorFormat;
+    resource.width = kSmallWidth;
+    resource.height = kSmallHeight;
+    resource.history_depth = depth;
+    if (linear)
+      resource.size_bytes = uint64_t{4} * kSmallHeight * linear_pitch(kColorFormat, kSmallWidth);
+    return resource;
+  };
+  const auto end = [](uint32_t number, uint32_t resource, uint32_t frames_back = 0) {
+    return Binding{
+        number,     BindingType::kTransfer, resource, ImageFormat::kNone, number == 0, number == 1,
+        frames_back};
+  };
+  Variant v;
+  v.target = "any";
+  v.resources = {
+      image("color", Category::kImageInput, false), image("kept", Category::kImageHistory, true, 2),
+      image("scratch", Category::kImageInternal, true),
+      image("shown", Category::kImageOutput, false), image("empty", Category::kImageOutput, false)};
+  Binding cleared = end(0, kScratch);
+  cleared.reads = false;
+  cleared.writes = true;
+  v.segments = {{"all",
+                 SegmentKind::kTransfer,
+                 {{"keep", "copy", 0, {1, 1, 1}, {end(0, kColor), end(1, kKept)}, {}},
+                  {"fill", "copy", 0, {1, 1, 1}, {end(0, kColor), end(1, kScratch)}, {}},
+                  {"clear", "clear", 0, {1, 1, 1}, {cleared}, {}},
+                  {"show", "copy", 0, {1, 1, 1}, {end(0, kKept, 1), end(1, kShown)}, {}},
+                  {"show_empty", "copy", 0, {1, 1, 1}, {end(0, kScratch), end(1, kEmpty)}, {}}}}};
+  Package package;
+  package.variants = {v};
+  return package;
+}
+
+TEST_F(FrameLoopTest, CopiesAndClearsLinearImages) {
+  FrameLoop loop = must(FrameLoop::create(context(), transfers()));
+  EXPECT_EQ(loop.image_usage("color"), VkImageUsageFlags{VK_IMAGE_USAGE_TRANSFER_SRC_BIT});
+  EXPECT_EQ(loop.image_usage("shown"), VkImageUsageFlags{VK_IMAGE_USAGE_TRANSFER_DST_BIT});
+  EXPECT_EQ(loop.image_usage("kept"), 0u);
+  const vk::Image shown = empty(), cleared = empty();
+  ImageView view = view_of(shown);
+  EXPECT_EQ(error_text(loop.bind_image("shown", view)),
+            "image \"shown\": no VkImage is given, and the package copies it");
+  const auto bind = [&](const char* name, const vk::Image& image) {
+    view = view_of(image);
+    view.image = image.get();
+    must(loop.bind_image(name, view));
+  };
+  bind("shown", shown);
+  bind("empty", cleared);
+  auto timestamps =
+      must(vk::Timestamps::create(context(), interval_count(loop.variant().segments)));
+  std::vector<uint8_t> before(kSmallBytes);
+  for (uint64_t frame = 0; frame < 4; ++frame) {
+    if (frame == 3) {
+      loop.reset_history();
+      before.assign(kSmallBytes, 0);
+    }
+    const std::vector<uint8_t> texels = random_bytes(kSmallBytes, 700 + frame);
+    const vk::Image in = color(texels);
+    bind("color", in);
+    run([&](VkCommandBuffer commands) { must(loop.record(commands, &timestamps)); });
+    EXPECT_EQ(texels_of(shown, kColorFormat), before) << "frame " << frame;
+    EXPECT_EQ(texels_of(cleared, kColorFormat), std::vector<uint8_t>(kSmallBytes))
+        << "frame " << frame;
+    before = texels;
+  }
+  EXPECT_EQ(must(measured_times(timestamps, loop.variant().segments)).size(), 5u);
+  EXPECT_EQ(must(loop.tensor("kept")).size_bytes, kSmallBytes);  // its rows are 64 bytes
+  EXPECT_EQ(error_text(loop.image("kept")), "the frame loop has no image \"kept\"");
+}
+
 TEST_F(FrameLoopTest, RefusesImagesThatDoNotFit) {
   FrameLoop loop = must(FrameLoop::create(context(), small_frame()));
   const vk::Image image = empty();

@@ -20,7 +20,7 @@ constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
 struct Arguments {
   std::string model, input, output, compare, reference, animation, debug_view, dump;
   std::vector<uint32_t> crop;
-  uint32_t zoom = 4;
+  uint32_t zoom = 4, repeat = 0;
   SourceArguments source;
   CompileArguments compile;
   DeviceArguments device;
@@ -295,6 +295,11 @@ Result<int> play(const Arguments& arguments) {
       }
       json["frames"].push_back(std::move(entry));
     }
+    if (arguments.repeat > 0) measured.clear();
+    for (uint32_t i = 0; i < arguments.repeat; ++i) {
+      if (!progress.step(i, arguments.repeat)) return bad_input("", "interrupted");
+      SHALE_TRY_VOID(player->run(&measured.emplace_back()));
+    }
   }
   source.reset();  // before the device
   SHALE_TRY_VOID(device.close());
@@ -340,7 +345,12 @@ Action add_play(CLI::App& app) {
   app.add_option("--zoom", arguments->zoom, "magnification of --crop")->check(CLI::Range(1, 16));
   app.add_option("--reference", arguments->reference,
                  "picture to measure the PSNR of the first frame against");
-  app.add_flag("--profile", arguments->profile, "print the time of each dispatch");
+  CLI::Option* profile =
+      app.add_flag("--profile", arguments->profile, "print the time of each dispatch");
+  app.add_option("--repeat", arguments->repeat,
+                 "print the times of so many runs of the last frame, one after the other")
+      ->check(CLI::Range(1, 10000))
+      ->needs(profile);
   arguments->compile.add_to(app);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");

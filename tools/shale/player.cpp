@@ -72,6 +72,15 @@ void write_channel(uint8_t* texel, ImageFormat format, uint32_t channel, float v
   }
 }
 
+/// The texels of a linear image without what lies between its rows.
+std::vector<uint8_t> dense_rows(std::span<const uint8_t> bytes, const Resource& image) {
+  const size_t row = size_t{image.width} * image_format_info(image.format).texel_bytes;
+  std::vector<uint8_t> dense(row * image.height);
+  for (size_t y = 0; y < image.height; ++y)
+    std::memcpy(&dense[y * row], &bytes[y * (image.size_bytes / image.height)], row);
+  return dense;
+}
+
 /// Copies all of an image or a range of a buffer to the host.
 Result<vk::Buffer> download(const vk::Context& context, uint64_t bytes,
                             const std::function<void(VkCommandBuffer, VkBuffer)>& copy) {
@@ -85,6 +94,13 @@ Result<vk::Buffer> download(const vk::Context& context, uint64_t bytes,
                        VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
   }));
   return buffer;
+}
+
+Result<vk::Buffer> download(const vk::Context& context, const TensorView& view) {
+  return download(context, view.size_bytes, [&](VkCommandBuffer commands, VkBuffer to) {
+    const VkBufferCopy copy{view.offset, 0, view.size_bytes};
+    vkCmdCopyBuffer(commands, view.buffer, to, 1, &copy);
+  });
 }
 
 }  // namespace
@@ -181,8 +197,8 @@ Result<void> Player::make_images() {
           "image \"" + resource.name + "\"",
           "is none of those that this program fills and shows: color, depth, motion, "
           "output");
-    const VkImageUsageFlags usage =
-        is_input ? VK_IMAGE_USAGE_SAMPLED_BIT : VK_IMAGE_USAGE_STORAGE_BIT;
+    // The view of an image that is copied alone needs a usage by shaders.
+    const VkImageUsageFlags usage = loop_.image_usage(resource.name) | VK_IMAGE_USAGE_SAMPLED_BIT;
     HostImage host{&resource, {}, {}};
     SHALE_TRY(host.image, vk::Image::create(context_, resource.format,
                                             {resource.width, resource.height}, usage));
@@ -191,8 +207,9 @@ Result<void> Player::make_images() {
                   context_, (image_bytes(resource) + 3) / 4 * 4,
                   is_input ? VK_BUFFER_USAGE_TRANSFER_SRC_BIT : VK_BUFFER_USAGE_TRANSFER_DST_BIT,
                   is_input ? vk::MemoryKind::kUpload : vk::MemoryKind::kReadback));
-    SHALE_TRY_VOID(loop_.bind_image(
-        resource.name, {host.image.view(), vk::vk_format(resource.format), host.image.extent()}));
+    SHALE_TRY_VOID(
+        loop_.bind_image(resource.name, {host.image.view(), vk::vk_format(resource.format),
+                                         host.image.extent(), host.image.get()}));
     auto barrier = vk::init<VkImageMemoryBarrier>(VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER);
     barrier.oldLayout = VK_IMAGE_LAYOUT_UNDEFINED;
     barrier.newLayout = VK_IMAGE_LAYOUT_GENERAL;
@@ -275,6 +292,20 @@ Result<FloatImage> Player::play(const SourceFrame& frame, std::vector<DispatchTi
   if (frame.camera.cut) reset();
   SHALE_TRY_VOID(upload(frame));
   SHALE_TRY_VOID(set_params(frame.camera));
+  SHALE_TRY_VOID(run(times));
+  previous_jitter_ = frame.camera.jitter;
+  has_past_ = true;
+  const HostImage& output = images_.at("output");
+  const FloatImage four =
+      unpack_texels(output.staging.mapped(), output.resource->format, output_size());
+  FloatImage result{four.width, four.height, 3, {}};
+  result.values.reserve(four.values.size() / 4 * 3);
+  for (size_t i = 0; i < four.values.size(); ++i)
+    if (i % 4 != 3) result.values.push_back(four.values[i]);
+  return result;
+}
+
+Result<void> Player::run(std::vector<DispatchTime>* times) {
   const std::span<const Segment> segments(loop_.variant().segments);
   std::optional<vk::Timestamps> timestamps;
   if (times) {
@@ -306,15 +337,7 @@ Result<FloatImage> Player::play(const SourceFrame& frame, std::vector<DispatchTi
   if (timestamps) {
     SHALE_TRY(*times, measured_times(*timestamps, segments));
   }
-  previous_jitter_ = frame.camera.jitter;
-  has_past_ = true;
-  const FloatImage four =
-      unpack_texels(output.staging.mapped(), output.resource->format, output_size());
-  FloatImage result{four.width, four.height, 3, {}};
-  result.values.reserve(four.values.size() / 4 * 3);
-  for (size_t i = 0; i < four.values.size(); ++i)
-    if (i % 4 != 3) result.values.push_back(four.values[i]);
-  return result;
+  return {};
 }
 
 Result<FloatImage> Player::show(SourceFrame& frame, std::vector<DispatchTime>* times) {
@@ -342,11 +365,7 @@ const Resource* Player::resource(const std::string& name) const {
 Result<Tensor> Player::read_tensor(const std::string& name) const {
   SHALE_TRY(const TensorView view, loop_.tensor(name));
   const Resource& tensor = *resource(name);
-  SHALE_TRY(const vk::Buffer buffer,
-            download(context_, view.size_bytes, [&](VkCommandBuffer commands, VkBuffer to) {
-              const VkBufferCopy copy{view.offset, 0, view.size_bytes};
-              vkCmdCopyBuffer(commands, view.buffer, to, 1, &copy);
-            }));
+  SHALE_TRY(const vk::Buffer buffer, download(context_, view));
   Tensor result{{tensor.dtype, tensor.shape}, {}};
   result.bytes.assign(buffer.mapped().begin(),
                       buffer.mapped().begin() + static_cast<std::ptrdiff_t>(tensor.size_bytes));
@@ -357,6 +376,11 @@ Result<FloatImage> Player::read(const std::string& name, bool real) const {
   const Resource* wanted = resource(name);
   if (!wanted) return bad_input("", "there is no image or tensor \"{}\"", name);
   const Extent extent{wanted->width, wanted->height};
+  if (is_linear(*wanted)) {
+    SHALE_TRY(const TensorView view, loop_.tensor(name));
+    SHALE_TRY(const vk::Buffer buffer, download(context_, view));
+    return unpack_texels(dense_rows(buffer.mapped(), *wanted), wanted->format, extent);
+  }
   if (is_image(wanted->category)) {
     VkImage image = VK_NULL_HANDLE;
     if (const auto host = images_.find(name); host != images_.end()) {

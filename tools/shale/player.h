@@ -64,6 +64,10 @@ class Player {
   /// 8-bit steps. `frame` is changed to what the sandwich took.
   Result<FloatImage> show(SourceFrame& frame, std::vector<DispatchTime>* times = nullptr);
 
+  /// Runs the frame that was played last again, with what it left as its past, and without a look at
+  /// the result: for times that nothing between the frames disturbs.
+  Result<void> run(std::vector<DispatchTime>* times);
+
   /// play() on a frame that leaves no trace: drivers may compile a shader at its first dispatch.
   Result<void> warm_up(const SourceFrame& frame);
 

@@ -28,6 +28,7 @@ uint32_t vk_format(ImageFormat format) {
     case ImageFormat::kRg8Unorm: return 16;
     case ImageFormat::kRgba8Snorm: return 38;
     case ImageFormat::kRgba32Uint: return 107;
+    case ImageFormat::kRg32Uint: return 101;
   }
   return 0;
 }
@@ -102,6 +103,8 @@ class Converter {
     const std::string where = fmt::format("resource \"{}\"", resource.name);
     if (resource.category == Category::kImageHistory)
       return unsupported(where, "is an image of earlier frames, VGF has one frame only");
+    if (is_linear(resource))
+      return unsupported(where, "is a linear image, which the segments of a VGF cannot fill");
     if (resource.category == Category::kWeights && !weights_as_inputs_)
       return unsupported(where,
                          "is a constant, which VGF binds to no compute segment; "
@@ -147,6 +150,8 @@ class Converter {
         entry.format = vk_format(resource.format);
         entry.shape = {1, resource.height, resource.width,
                        image_format_info(resource.format).channels};
+        break;
+      case BindingType::kTransfer: break;  // one end is a linear image, which is refused
     }
     return entry;
   }

@@ -1,15 +1,31 @@
-// shaders/frame/nss/closest.glsl -- the closest depth around each texel of a 2x2 tile. Expects the image `depth`.
+// shaders/frame/nss/closest.glsl -- the closest depth around each texel of a 2x2 tile, of which base.x is even.
+// Expects the texel buffer `depth`, four texels a fetch.
 //
-// Offsets of a window lie in [-1, CLOSEST_LAST] on both axes; the centre wins a tie, then the first in rows. Windows of
+// Offsets of a window lie in [-1, 2] on both axes; the centre wins a tie, then the first in rows. Windows of
 // neighbours overlap, so a tile reads each depth once, and a window is the closest of its rows' closest.
 
-const int kWindow = CLOSEST_LAST + 2;  // texels a side
-const int kReach = kWindow + 1;        // of the two windows of a tile
+const int kWindow = 4;  // texels a side
+const int kReach = 5;   // of the two windows of a tile
 
 struct Closest {
   float depth;
   ivec2 at;  // render texel
 };
+
+/// Depths from texel at.x - 1 on, at.x even: they lie in two fetches, from the second or from the fourth of the first on.
+void depth_row(ivec2 at, out float row[kReach]) {
+  const int line = at.y * (RAW_DEPTH_PITCH / 4), first = (at.x - 1) >> 2;
+  const uvec4 a = texelFetch(depth, line + max(first, 0));
+  const uvec4 b = texelFetch(depth, line + min(first + 1, RAW_DEPTH_PITCH / 4 - 1));
+  const bool late = (at.x & 2) == 0;
+  const uint words[kReach] =
+      uint[kReach](late ? a.w : a.y, late ? b.x : a.z, late ? b.y : a.w, late ? b.z : b.x, late ? b.w : b.y);
+  // Beyond the border the last texel counts again.
+  row[1] = finite_depth(uintBitsToFloat(words[1]));
+  row[0] = at.x == 0 ? row[1] : finite_depth(uintBitsToFloat(words[0]));
+  [[unroll]] for (int x = 2; x < kReach; ++x)
+    row[x] = at.x + x - 1 < COLOR_WIDTH ? finite_depth(uintBitsToFloat(words[x])) : row[x - 1];
+}
 
 /// base: upper left texel of the tile; [y][x].
 void closest_in_tile(ivec2 base, out Closest closest[2][2]) {
@@ -19,8 +35,8 @@ void closest_in_tile(ivec2 base, out Closest closest[2][2]) {
   int row_x[kReach][2];
   [[unroll]] for (int y = 0; y < kReach; ++y) {
     float row[kReach];
-    [[unroll]] for (int x = 0; x < kReach; ++x)
-      row[x] = away * imageLoad(depth, inside(base + ivec2(x, y) - 1, kRender)).r;
+    depth_row(ivec2(base.x, clamp(base.y + y - 1, 0, COLOR_HEIGHT - 1)), row);
+    [[unroll]] for (int x = 0; x < kReach; ++x) row[x] *= away;
     [[unroll]] for (int lane = 0; lane < 2; ++lane) {
       row_best[y][lane] = row[lane];
       row_x[y][lane] = lane;

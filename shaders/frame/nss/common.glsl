@@ -12,14 +12,55 @@ const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
 
 SHALE_PARAMS;
 
-// Images that passes write are read as storage images, too: without a level of detail, a fetch is half the work on a
-// CPU.
-#define HISTORY_IMAGE(at, name, layout_format) \
-  layout(set = 0, binding = at, layout_format) readonly uniform image2D name
-#define HISTORY_TEXEL(name, at) imageLoad(name, at)
+// Images of the passes are linear: on a CPU driver a texel buffer gives a texel for half the work of a storage image, a
+// quarter of that of a sampled one, 16 bytes for little more than 4, and storing 8 bytes costs as much as 4. The images
+// of the host are copied.
+// Source: measured, shaders/frame/README.md.
+#if SHALE_ON_CPU
+#define PAIR double  // a loop over the lanes; two for a uvec2
+PAIR pair(uint low, uint high) { return packDouble2x32(uvec2(low, high)); }
+#else
+#define PAIR uvec2
+PAIR pair(uint low, uint high) { return uvec2(low, high); }
+#endif
 
 /// A word, packed: Mesa stores lane by lane, and LLVM would pack it lane by lane, too, but for the maximum.
 uint whole(uint word) { return max(word, uint(int(gl_GlobalInvocationID.x) == 0x7fffffff)); }
+
+/// A byte of a word of an int8 tensor, less the zero point: as the last bits of 2^23, which spares a conversion.
+float code_of(uint word, int byte, int zero_point) {
+  const uint u = (word ^ 0x80808080u) >> 8 * byte & 255u | 0x4b000000u;
+  return uintBitsToFloat(u) - float(8388608 + 128 + zero_point);
+}
+
+/// A texel of rgba16_float without alpha.
+vec3 half_rgb(uvec2 words) { return vec3(unpackHalf2x16(words.x), unpackHalf2x16(words.y).x); }
+/// Halves of values in [0, 65504], rounded to even. Mesa's packHalf2x16 takes five times as many instructions.
+uvec3 half_bits(vec3 c) {
+  const uvec3 bits = floatBitsToUint(c);
+  // Above 2^-14 the exponent changes its bias; below, 0.5 plus the value holds it in steps of 2^-24, as halves do.
+  const uvec3 normal = (bits - 0x38000000u + 0xfffu + (bits >> 13 & 1u)) >> 13;
+  const uvec3 small = floatBitsToUint(c + 0.5) - 0x3f000000u;
+  return mix(normal, small, lessThan(c, vec3(6.103515625e-5)));
+}
+PAIR half_pair(vec3 c) {
+  const uvec3 h = half_bits(c);
+  return pair(whole(h.r | h.g << 16), whole(h.b | 0x3c000000u));
+}
+
+/// Exposed and in the Karis domain. One factor does both; beyond kMaxColor, where exposed() stops, the result differs from
+/// karis(exposed(c)) by less than 2e-5.
+vec3 karis_of(vec3 c) {
+  const float exposure = min(params.exposure, 1e30);
+  return c * (exposure / (1.0 + exposure * largest(c)));
+}
+
+/// A texel of rgba8_snorm.
+vec4 snorm(ivec4 codes) { return vec4(max(codes, -127)) * (1.0 / 127.0); }
+uint snorm_word(vec4 v) {
+  const ivec4 codes = ivec4(floor(clamp(v, -1.0, 1.0) * 127.0 + 0.5)) & 255;
+  return whole(uint(codes.x | codes.y << 8 | codes.z << 16 | codes.w << 24));
+}
 
 float not_reset() { return params.reset != 0 ? 0.0 : 1.0; }
 
@@ -30,8 +71,11 @@ ivec2 mirrored(ivec2 at, ivec2 size) {
   return min(turn, 2 * size - 1 - turn);
 }
 
-/// Depth as the host gives it; NaN counts as the farthest.
-float finite_depth(float depth) { return finite_in(depth, 0.0, 1.0, params.reverse_depth != 0 ? 0.0 : 1.0); }
+/// Depth as the host gives it; NaN counts as the farthest. Bits of floats are ordered as integers.
+float finite_depth(float depth) {
+  const int bits = clamp(floatBitsToInt(depth), 0, 0x3f800000);
+  return is_nan(depth) ? (params.reverse_depth != 0 ? 0.0 : 1.0) : intBitsToFloat(bits);
+}
 
 bool closer(float a, float b) { return params.reverse_depth != 0 ? a > b : a < b; }
 
@@ -57,19 +101,17 @@ vec2 long_motion(vec2 motion, ivec2 size, float least) {
   const vec2 m = finite_motion(motion);
   return length(m * vec2(size)) <= least ? vec2(0.0) : m;
 }
-vec2 motion_at(texture2D motion, ivec2 at, ivec2 size, float least) {
-  return long_motion(texelFetch(motion, at, 0).rg, size, least);
-}
 
 bool on_screen(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThan(uv, vec2(1.0))); }
 
 /// Offset of the closest depth around `at`, each axis in [-1, last]; the centre wins a tie, then the first in rows.
-ivec2 closest_offset(texture2D depth, ivec2 at, int last, out float closest) {
+ivec2 closest_offset(utextureBuffer depth, int pitch, ivec2 at, int last, out float closest) {
   ivec2 best = ivec2(0);
-  closest = finite_depth(texelFetch(depth, at, 0).r);
+  closest = finite_depth(uintBitsToFloat(texelFetch(depth, at.y * pitch + at.x).r));
   for (int y = -1; y <= last; ++y) {
     for (int x = -1; x <= last; ++x) {
-      const float d = finite_depth(texelFetch(depth, inside(at + ivec2(x, y), kRender), 0).r);
+      const ivec2 other = inside(at + ivec2(x, y), kRender);
+      const float d = finite_depth(uintBitsToFloat(texelFetch(depth, other.y * pitch + other.x).r));
       if (closer(d, closest)) {
         closest = d;
         best = ivec2(x, y);
@@ -78,6 +120,9 @@ ivec2 closest_offset(texture2D depth, ivec2 at, int last, out float closest) {
   }
   return best;
 }
+
+/// Of the depth clip; 2 at 960x540.
+const float kPower = mix(1.0, 3.0, clamp(length(vec2(kRender)) / length(vec2(1920.0, 1080.0)), 0.0, 1.0));
 
 /// What one tap of the depth clip adds: x to kept, y to the sum of weights. `tolerance` in metres.
 vec2 depth_clip_tap(float weight, bool inside_screen, float z, float z_before, float tolerance) {
@@ -88,8 +133,8 @@ vec2 depth_clip_tap(float weight, bool inside_screen, float z, float z_before, f
   const vec2 half_view = params.depth_to_view.zw;
   const float separation = 1.37e-5 * sqrt(dot(half_view, half_view) + 1.0);
   const float needed = separation * length(vec2(kRender)) * max(z, z_before) + tolerance;
-  const float power = mix(1.0, 3.0, clamp(length(vec2(kRender)) / length(vec2(1920.0, 1080.0)), 0.0, 1.0));
-  return vec2(weight * pow(clamp(needed / difference, 0.0, 1.0), power), weight);
+  const float near = clamp(needed / difference, 0.0, 1.0);
+  return vec2(weight * (kPower == 2.0 ? near * near : pow(near, kPower)), weight);
 }
 
 float depth_clip(vec2 sum) { return sum.y > 0.0 ? clamp(1.0 - sum.x / sum.y, 0.0, 1.0) : 0.0; }

@@ -7,30 +7,22 @@
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0, r32f) readonly uniform image2D depth;  // of check.comp
-layout(set = 0, binding = 1) uniform texture2D motion;
-layout(set = 0, binding = 2, r32ui) readonly uniform uimage2D scatter;
+layout(set = 0, binding = 0) uniform utextureBuffer depth;  // 4 texels a fetch
+layout(set = 0, binding = 1) uniform utextureBuffer motion;
+layout(set = 0, binding = 2) uniform utextureBuffer scatter;
 layout(set = 0, binding = 3, r8) writeonly uniform image2D disocclusion;
+#include "block.glsl"
 #include "scattered.glsl"
 
 void main() {
-  const ivec2 block = ivec2(gl_GlobalInvocationID.xy);
-  if (block.x >= DISOCCLUSION_WIDTH || block.y >= DISOCCLUSION_HEIGHT) return;
-  ivec2 from = block * 4;
-  float closest = imageLoad(depth, from).r;
-  float farthest = closest;
-  for (int i = 1; i < 16; ++i) {
-    const ivec2 at = block * 4 + ivec2(i & 3, i >> 2);
-    if (any(greaterThanEqual(at, kRender))) continue;
-    const float d = imageLoad(depth, at).r;
-    if (closer(d, closest)) {
-      closest = d;
-      from = at;
-    }
-    if (closer(farthest, d)) farthest = d;
-  }
-  const vec2 uv = (vec2(block) + 0.5) / vec2(DISOCCLUSION_WIDTH, DISOCCLUSION_HEIGHT);
-  const float z = view_z(closest);
-  const float mask = disoccluded(uv - motion_at(motion, from, kRender, 0.1), z, view_z(farthest) - z);
-  imageStore(disocclusion, block, vec4(mask));
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x >= DISOCCLUSION_WIDTH || at.y >= DISOCCLUSION_HEIGHT) return;
+  const Block block = block_at(at);
+  const vec2 uv = (vec2(at) + 0.5) / vec2(DISOCCLUSION_WIDTH, DISOCCLUSION_HEIGHT);
+  const float z = view_z(block.closest);
+  const Bilinear b = bilinear_at(uv - block_motion(block), kScattered);
+  uint codes[4];
+  fetch_scattered(b, codes);
+  const float mask = disoccluded(b, codes, z, view_z(block.farthest) - z);
+  imageStore(disocclusion, at, vec4(mask));
 }

@@ -1,11 +1,10 @@
 // shaders/frame/nss/post_v0_1.comp -- filter, rectify, accumulate: the post pass of NSS v0.1.
 //
-// One invocation per 2x2 output pixels. For each of them: the samples of this frame that fall into its 4x4 kernel,
+// One invocation per 4x2 output pixels. For each of them: the samples of this frame that fall into its 4x4 kernel,
 // weighted by the tensors k0 to k3 (a column each, 4 channels a texel); the history, blended in as the network says; a
-// sample that lies on the pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes
-// take linear ones: a display
-// shows means of it. Output and history are linear, with the exposure removed.
-// `mapped` and `moving` come from pre_v0_1.comp.
+// sample that lies on the pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes take
+// linear ones: a display shows means of it. What is shown goes into the history, with the exposure removed; the host's output
+// is a copy of that. `moving` comes from pre_v0_1.comp.
 // Source: nss.md sections 3.1 to 3.3; tools/train/nss_passes.py computes the same.
 #version 450
 #extension GL_EXT_control_flow_attributes : require
@@ -14,115 +13,126 @@
 #include "taps.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0, rgba32f) readonly uniform image2D mapped;
-layout(set = 0, binding = 1, rg16f) readonly uniform image2D moving;
-HISTORY_IMAGE(3, history, rgba16f);  // one frame back
-layout(set = 0, binding = 4) uniform itextureBuffer temporal;
-layout(set = 0, binding = 5) uniform itextureBuffer k0;
-layout(set = 0, binding = 6) uniform itextureBuffer k1;
-layout(set = 0, binding = 7) uniform itextureBuffer k2;
-layout(set = 0, binding = 8) uniform itextureBuffer k3;
-layout(set = 0, binding = 9, rgba16f) writeonly uniform image2D shown;
-layout(set = 0, binding = 10, rgba16f) writeonly uniform image2D new_history;
+layout(set = 0, binding = 0) uniform utextureBuffer color;     // two texels a fetch
+layout(set = 0, binding = 1) uniform utextureBuffer moving;    // two texels a fetch
+layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back, a texel a fetch
+layout(set = 0, binding = 4) uniform utextureBuffer temporal;  // four texels a fetch; so the kernel
+layout(set = 0, binding = 5) uniform utextureBuffer k0;
+layout(set = 0, binding = 6) uniform utextureBuffer k1;
+layout(set = 0, binding = 7) uniform utextureBuffer k2;
+layout(set = 0, binding = 8) uniform utextureBuffer k3;
+layout(set = 0, binding = 10, std430) writeonly buffer NewHistory { PAIR texels[]; } new_history;
 #include "history.glsl"
-vec3 sample_at(ivec2 at) { return imageLoad(mapped, at).rgb; }
+#include "sample.glsl"
 #include "quad.glsl"
 
 const ivec2 kPadded = ivec2(TEMPORAL_WIDTH, TEMPORAL_HEIGHT);
 
-vec4 value_texel(itextureBuffer tensor, ivec2 at) {
-  at = inside(at, kPadded);
-  return vec4(texelFetch(tensor, at.y * kPadded.x + at.x) - TEMPORAL_ZERO_POINT) * float(TEMPORAL_SCALE);
+/// A texel of a tensor of the network, in 0..1. All of them share scale and zero point.
+vec4 values_of(uint word) {
+  return float(TEMPORAL_SCALE) * vec4(code_of(word, 0, TEMPORAL_ZERO_POINT), code_of(word, 1, TEMPORAL_ZERO_POINT),
+                                      code_of(word, 2, TEMPORAL_ZERO_POINT), code_of(word, 3, TEMPORAL_ZERO_POINT));
 }
 
 struct Filtered {
   float weight;
   vec3 first, centre;  // weighted sum of the colours; the one that lies on the pixel
-  float has_centre;    // 1 if one does
+  bool has_centre;     // if one does
 };
 
 /// What a pixel shows. parameters: of the network; past: the history at uv `before`.
-vec4 shown_color(Filtered sum, vec3 parameters, vec3 past, vec2 before) {
+vec3 shown_color(Filtered sum, vec3 parameters, vec3 past, vec2 before) {
   vec3 mixed = sum.first * (1.0 / sum.weight);
   // Chosen, not multiplied: after a reset the history may hold anything.
   mixed = params.reset != 0 ? mixed : mix(mixed, past, on_screen(before) ? parameters.x : 0.0);
-  mixed = mix(mixed, sum.centre, (0.35 * parameters.y + 0.05) * sum.has_centre);
-  return vec4(min(karis_inverse(mixed) * (1.0 / params.exposure), kMaxColor), 1.0);
+  if (sum.has_centre) mixed = mix(mixed, sum.centre, 0.35 * parameters.y + 0.05);
+  return least(karis_inverse(mixed) * (1.0 / params.exposure), vec3(kMaxColor));
 }
 
-void show(ivec2 pixel, vec4 color) {
-  imageStore(shown, pixel, color);
-  imageStore(new_history, pixel, color);
-}
+void show(ivec2 pixel, vec3 color) { new_history.texels[pixel.y * HISTORY_PITCH + pixel.x] = half_pair(color); }
 
 void add_sample(inout Filtered sum, int ix, int iy, float weight, vec3 c) {
   sum.weight += weight;
   sum.first += weight * c;
   if (ix == -kFirst && iy == -kFirst) {
     sum.centre = c;
-    sum.has_centre = 1.0;
+    sum.has_centre = true;
   }
 }
 
 #if IS_DOUBLE
-/// The weights of a column of the kernel, in 0..1, at pixel px along x: those that count for the even pixel along y (x
-/// and z) there, those for the odd one (y and w) there.
-vec4 column_of_quad(itextureBuffer tensor, QuadPlace place, Quad quad, int px) {
+/// The weights of a column of the kernel, in 0..1, at the q-th quad's pixel px along x: those that count for the even pixel
+/// along y (x and z) there, those for the odd one (y and w) there. words: of its tensor, as fetch_four_columns leaves them.
+vec4 column_of_quad(uint words[3][4], int q, Quad quad, int px) {
   vec4 along[3];
-  const float f = place.part.x + float(px) * place.step.x;
-  [[unroll]] for (int y = 0; y < 3; ++y) {
-    const vec4 l = value_texel(tensor, place.base + ivec2(0, y)), c = value_texel(tensor, place.base + ivec2(1, y)),
-               r = value_texel(tensor, place.base + ivec2(2, y));
-    along[y] = f < 1.0 ? mix(l, c, f) : mix(c, r, f - 1.0);
-  }
-  const float even = place.part.y + float(quad.pixel[0].y) * place.step.y;
-  const float odd = place.part.y + float(quad.pixel[1].y) * place.step.y;
-  return vec4(between(along[0].x, along[1].x, along[2].x, even), between(along[0].y, along[1].y, along[2].y, odd),
-              between(along[0].z, along[1].z, along[2].z, even), between(along[0].w, along[1].w, along[2].w, odd));
+  [[unroll]] for (int y = 0; y < 3; ++y)
+    along[y] = mix(values_of(px == 0 ? words[y][q] : words[y][q + 1]), values_of(px == 0 ? words[y][q + 1] : words[y][q + 2]),
+                   quarter(px));
+  const int even = quad.pixel[0].y, odd = quad.pixel[1].y;
+  const vec2 e = mix(even == 0 ? along[0].xz : along[1].xz, even == 0 ? along[1].xz : along[2].xz, quarter(even));
+  const vec2 o = mix(odd == 0 ? along[0].yw : along[1].yw, odd == 0 ? along[1].yw : along[2].yw, quarter(odd));
+  return vec4(e.x, o.x, e.y, o.y);
 }
 
 void main() {
-  const ivec2 m = ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 m = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
-  vec3 past[2][2], samples[kTaps + 1][kTaps + 1];
-  const vec2 uv = (2.0 * vec2(m) + 0.5) / vec2(kOutput);
-  const vec2 before = uv - long_motion(imageLoad(moving, m).rg, kOutput, 0.1);
-  past_quad_catmull_rom(before, past);
+  // What lies anywhere is fetched first.
+  const uvec2 halves = texelFetch(moving, (m.y * MOVING_PITCH + m.x) / 2).rg;
+  vec2 before[2];
+  Bilinear place[2];
+  uvec2 past_words[2][5][5];
+  [[unroll]] for (int q = 0; q < 2; ++q) {
+    const vec2 uv = (2.0 * vec2(m + ivec2(q, 0)) + 0.5) / vec2(kOutput);
+    before[q] = uv - long_motion(unpackHalf2x16(halves[q]), kOutput, 0.1);
+    place[q] = bilinear_at(before[q], kOutput);
+    fetch_quad_catmull_rom(place[q], past_words[q]);
+  }
   const Quad quad = quad_at(m);
-  quad_samples(quad, samples);
-  const QuadPlace place = quad_place(m, kRender);
-  vec3 texels[3][3];
-  [[unroll]] for (int y = 0; y < 3; ++y)
-    [[unroll]] for (int x = 0; x < 3; ++x) texels[y][x] = value_texel(temporal, place.base + ivec2(x, y)).xyz;
-  [[unroll]] for (int ox = 0; ox < 2; ++ox) {
-    const int px = quad.pixel[ox].x;
-    const vec4 columns[2] = vec4[2](ox == 0 ? column_of_quad(k0, place, quad, px) : column_of_quad(k1, place, quad, px),
-                                    ox == 0 ? column_of_quad(k2, place, quad, px) : column_of_quad(k3, place, quad, px));
-    [[unroll]] for (int oy = 0; oy < 2; ++oy) {
-      Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), 0.0);
-      [[unroll]] for (int y = 0; y < kTaps; ++y) {
-        [[unroll]] for (int x = 0; x < kTaps; ++x) {
-          const int iy = 2 * y + oy;
-          add_sample(sum, 2 * x + ox, iy, max(columns[x][iy], 1e-7), quad_sample(quad, samples, ox, oy, x, y));
+  vec3 samples[kTaps + 1][kTaps + 2];
+  two_quads_samples(quad, m, samples);
+  uint words[5][3][4];  // of k0 to k3 and of temporal
+  fetch_four_columns(k0, m, kPadded, words[0]);
+  fetch_four_columns(k1, m, kPadded, words[1]);
+  fetch_four_columns(k2, m, kPadded, words[2]);
+  fetch_four_columns(k3, m, kPadded, words[3]);
+  fetch_four_columns(temporal, m, kPadded, words[4]);
+  [[unroll]] for (int q = 0; q < 2; ++q) {
+    vec3 past[2][2], parameters[2][2];
+    past_quad_catmull_rom(place[q], past_words[q], past);
+    [[unroll]] for (int x = 0; x < 2; ++x) {
+      vec3 along[3];
+      [[unroll]] for (int y = 0; y < 3; ++y)
+        along[y] = mix(values_of(words[4][y][q + x]).xyz, values_of(words[4][y][q + x + 1]).xyz, quarter(x));
+      [[unroll]] for (int y = 0; y < 2; ++y) parameters[y][x] = mix(along[y], along[y + 1], quarter(y));
+    }
+    [[unroll]] for (int ox = 0; ox < 2; ++ox) {
+      vec4 columns[kTaps];
+      [[unroll]] for (int x = 0; x < kTaps; ++x)
+        columns[x] = column_of_quad(words[2 * x + ox], q, quad, quad.pixel[ox].x);
+      [[unroll]] for (int oy = 0; oy < 2; ++oy) {
+        Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), false);
+        [[unroll]] for (int y = 0; y < kTaps; ++y) {
+          [[unroll]] for (int x = 0; x < kTaps; ++x) {
+            const int iy = 2 * y + oy;
+            add_sample(sum, 2 * x + ox, iy, max(columns[x][iy], 1e-7), two_quads_sample(quad, samples, ox, oy, q + x, y));
+          }
         }
+        const ivec2 pixel = quad_pixel(quad, ox, oy);
+        show(2 * (m + ivec2(q, 0)) + pixel, shown_color(sum, of_pixel(parameters, pixel), of_pixel(past, pixel),
+                                                        before[q] + vec2(pixel) / vec2(kOutput)));
       }
-      const ivec2 pixel = quad_pixel(quad, ox, oy);
-      const float fx = place.part.x + float(pixel.x) * place.step.x;
-      const vec3 parameters =
-          between(between(texels[0][0], texels[0][1], texels[0][2], fx),
-                  between(texels[1][0], texels[1][1], texels[1][2], fx),
-                  between(texels[2][0], texels[2][1], texels[2][2], fx), place.part.y + float(pixel.y) * place.step.y);
-      show(2 * m + pixel,
-           shown_color(sum, parameters, of_pixel(past, pixel), before + vec2(pixel) / vec2(kOutput)));
     }
   }
 }
 #else
-/// A tensor of the network in 0..1; `b` in its padded picture. All of them share scale and zero point.
-vec4 values_at(itextureBuffer tensor, Bilinear b) {
+/// A tensor of the network in 0..1; `b` in its padded picture.
+vec4 values_at(utextureBuffer tensor, Bilinear b) {
   vec4 sum = vec4(0.0);
-  [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * value_texel(tensor, b.base + ivec2(i & 1, i >> 1));
+  [[unroll]] for (int i = 0; i < 4; ++i) {
+    const ivec2 at = bilinear_texel(b, i, kPadded);
+    sum += bilinear_weight(b.part, i) * values_of(texelFetch(tensor, at.y * (kPadded.x / 4) + at.x / 4)[at.x % 4]);
+  }
   return sum;
 }
 
@@ -131,7 +141,7 @@ void pixel_at(ivec2 at) {
   const Bilinear b = bilinear_at(uv * vec2(kRender) / vec2(kPadded), kPadded);
   const Axis x = axis_at(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH);
   const Axis y = axis_at(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT);
-  Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), 0.0);
+  Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), false);
   const vec4 columns[KERNEL] = vec4[KERNEL](values_at(k0, b), values_at(k1, b), values_at(k2, b), values_at(k3, b));
   [[unroll]] for (int ix = 0; ix < KERNEL; ++ix) {
     [[unroll]] for (int iy = 0; iy < KERNEL; ++iy) {
@@ -147,13 +157,14 @@ void pixel_at(ivec2 at) {
     sum.weight = 1.0;
   }
   const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
-  const vec2 before = uv - long_motion(imageLoad(moving, texel).rg, kOutput, 0.1);
+  const uint halves = texelFetch(moving, (texel.y * MOVING_PITCH + texel.x) / 2)[texel.x % 2];
+  const vec2 before = uv - long_motion(unpackHalf2x16(halves), kOutput, 0.1);
   show(at, shown_color(sum, values_at(temporal, b).xyz, past_catmull_rom(before), before));
 }
 
 void main() {
-  for (int i = 0; i < 4; ++i) {
-    const ivec2 at = 2 * ivec2(gl_GlobalInvocationID.xy) + ivec2(i & 1, i >> 1);
+  for (int i = 0; i < 8; ++i) {
+    const ivec2 at = ivec2(4, 2) * ivec2(gl_GlobalInvocationID.xy) + ivec2(i & 3, i >> 2);
     if (at.x < OUTPUT_WIDTH && at.y < OUTPUT_HEIGHT) pixel_at(at);
   }
 }

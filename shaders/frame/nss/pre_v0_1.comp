@@ -3,9 +3,8 @@
 // Writes the tensor "input", int8 NHWC [1, h, w, 12] with h and w padded to multiples of 8, padding mirrored:
 //   0-2 history, reprojected, Karis    3-5 current colour, Karis    6 disocclusion
 //   7-10 feedback, reprojected         11 change of luma over time
-// and the new state of the luma (rg8: change, luma); the dilated depth; and what the post pass would compute again for
-// each of its pixels: `moving`, the motion where the closest depth is, and `mapped`, the colours in the exposed Karis
-// domain. One invocation per texel of the tensor.
+// and the new state of the luma (rg8: change, luma); the dilated depth; and what the post pass would look for again for each
+// of its pixels: `moving`, the motion where the closest depth is. One invocation per texel of the tensor.
 // Source: nss.md section 2.3; tools/train/nss_passes.py computes the same. The depth of the frame before is kept as it
 // was dilated, instead of being gathered through the offsets of the frame before.
 #version 450
@@ -13,18 +12,17 @@
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1) uniform texture2D depth;
-layout(set = 0, binding = 2) uniform texture2D motion;
-HISTORY_IMAGE(3, history, rgba16f);                            // one frame back
-HISTORY_IMAGE(4, luma, rg8);                                   // one frame back
-HISTORY_IMAGE(5, dilated, r32f);                               // one frame back
+layout(set = 0, binding = 0) uniform utextureBuffer color;     // a texel a fetch; so the others
+layout(set = 0, binding = 1) uniform utextureBuffer depth;
+layout(set = 0, binding = 2) uniform utextureBuffer motion;
+layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back
+layout(set = 0, binding = 4, rg8) readonly uniform image2D luma;  // one frame back
+layout(set = 0, binding = 5) uniform utextureBuffer dilated;   // one frame back
 layout(set = 0, binding = 6) uniform itextureBuffer feedback;  // of one frame back
 layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { uint words[]; } network_input;
 layout(set = 0, binding = 8, rg8) writeonly uniform image2D new_luma;
-layout(set = 0, binding = 9, r32f) writeonly uniform image2D new_dilated;
-layout(set = 0, binding = 10, rg16f) writeonly uniform image2D moving;
-layout(set = 0, binding = 11, rgba32f) writeonly uniform image2D mapped;
+layout(set = 0, binding = 9, std430) writeonly buffer NewDilated { float depths[]; } new_dilated;
+layout(set = 0, binding = 10, std430) writeonly buffer Moving { uint halves[]; } moving;
 #include "warped.glsl"
 
 const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
@@ -36,7 +34,8 @@ float disoccluded(vec2 uv, float z) {
   for (int i = 0; i < 4; ++i) {
     const ivec2 at = b.base + ivec2(i & 1, i >> 1);
     const bool is_inside = all(greaterThanEqual(at, ivec2(0))) && all(lessThan(at, kRender));
-    const float before = HISTORY_TEXEL(dilated, inside(at, kRender)).r;
+    const ivec2 texel = inside(at, kRender);
+    const float before = uintBitsToFloat(texelFetch(dilated, texel.y * DILATED_PITCH + texel.x).r);
     sum += depth_clip_tap(bilinear_weight(b.part, i), is_inside, z, view_z(before), 0.0);
   }
   return depth_clip(sum);
@@ -69,9 +68,9 @@ void main() {
   const vec2 uv = (vec2(at) + 0.5) / vec2(kRender);
 
   float closest;
-  const ivec2 offset = closest_offset(depth, at, 1, closest);
-  const vec2 raw = texelFetch(motion, inside(at + offset, kRender), 0).rg;
-  const vec2 moved = long_motion(raw, kRender, 0.1);
+  const ivec2 from = inside(at + closest_offset(depth, RAW_DEPTH_PITCH, at, 1, closest), kRender);
+  const uint raw = texelFetch(motion, from.y * RAW_MOTION_PITCH + from.x).r;
+  const vec2 moved = long_motion(unpackHalf2x16(raw), kRender, 0.1);
   const vec2 before = uv - moved;
   const float z = view_z(closest);
   float hidden = 0.0;
@@ -79,15 +78,18 @@ void main() {
   // A learned constant of the source: fewer false alarms where little moves.
   if (length(moved * vec2(kRender)) <= 0.5) hidden *= 0.725223958;
 
-  const vec3 past = history_at(before) * not_reset();
-  const vec3 now = karis(exposed(finite_color(texelFetch(color, at, 0).rgb), params.exposure));
+  const Bilinear past_at = bilinear_at(before, kOutput);
+  uvec2 past_words[4];
+  fetch_history(past_at, past_words);
+  const vec3 past = warped(past_at, past_words) * not_reset();
+  const vec3 now = karis_of(finite_color(half_rgb(texelFetch(color, at.y * RAW_COLOR_PITCH + at.x).rg)));
   const vec4 fed = feedback_at(before) * not_reset();
 
   const float y = dot(now, vec3(0.2126, 0.7152, 0.0722));
   const Bilinear b = bilinear_at(before * vec2(kRender) / vec2(kPadded), kPadded);
   vec2 kept = vec2(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i)
-    kept += not_reset() * bilinear_weight(b.part, i) * HISTORY_TEXEL(luma, bilinear_texel(b, i, kPadded)).rg;
+    kept += not_reset() * bilinear_weight(b.part, i) * imageLoad(luma, bilinear_texel(b, i, kPadded)).rg;
   const float difference = abs(y - kept.y);
   const float change = difference < 0.05 ? 0.0 : pow(min(difference, 0.3) / 0.3, 1.5);
   float level = mix(kept.x, change, mix(0.1, 0.01, clamp(kept.x, 0.0, 0.3) / 0.3));
@@ -99,7 +101,6 @@ void main() {
   network_input.words[word + 2] = pack4(fed.y, fed.z, fed.w, level);
   imageStore(new_luma, padded, vec4(level, y, 0.0, 0.0));
   if (any(greaterThanEqual(padded, kRender))) return;
-  imageStore(new_dilated, at, vec4(closest));
-  imageStore(moving, at, vec4(raw, 0.0, 0.0));
-  imageStore(mapped, at, vec4(now, 0.0));
+  new_dilated.depths[at.y * DILATED_PITCH + at.x] = closest;
+  moving.halves[at.y * MOVING_PITCH + at.x] = raw;
 }

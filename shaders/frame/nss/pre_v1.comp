@@ -4,7 +4,7 @@
 //   0-2 history, reprojected, Karis    3-5 current colour without jitter, Karis    6 speed of motion
 //   7-10 feedback, reprojected         11 instability
 // and the new state of the instability; and what the post pass would compute again for each of its pixels: `dilated`,
-// the motion where the closest depth is. Colour and depth come from check.comp.
+// the motion where the closest depth is.
 // An invocation takes 2x2 render texels, whose neighbourhoods overlap.
 // SIDE 1 (HIGH): a network texel is a render texel; an invocation makes 2x2.
 // SIDE 2 (MID, LOW): it is 2x2 of them, each reprojected for itself; disocclusion comes from disocclusion.comp.
@@ -14,27 +14,26 @@
 #include "common.glsl"
 #include "instability.glsl"
 
-#if SIDE == 1
-#define WORDS uvec2  // two texels are three of them
-#else
-#define WORDS uint
-#endif
-
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0, rgba16f) readonly uniform image2D color;
-layout(set = 0, binding = 1, r32f) readonly uniform image2D depth;
-layout(set = 0, binding = 2) uniform texture2D motion;
-HISTORY_IMAGE(3, history, rgba16f);    // one frame back
-HISTORY_IMAGE(4, state, rgba8_snorm);  // one frame back
+layout(set = 0, binding = 0) uniform utextureBuffer color;     // a texel a fetch
+layout(set = 0, binding = 1) uniform utextureBuffer depth;     // four texels a fetch
+layout(set = 0, binding = 2) uniform utextureBuffer motion;    // a texel a fetch
+layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back
+layout(set = 0, binding = 4) uniform itextureBuffer state;     // one frame back
 layout(set = 0, binding = 5) uniform itextureBuffer feedback;  // the tensor "temporal" of one frame back
-layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { WORDS words[]; } network_input;
-layout(set = 0, binding = 8, rgba8_snorm) writeonly uniform image2D new_state;
-layout(set = 0, binding = 9, rg16f) writeonly uniform image2D dilated;
+#if SIDE == 1
+// In pairs of words: two texels of the tensor are three, of the images one.
+layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { PAIR words[]; } network_input;
+layout(set = 0, binding = 8, std430) writeonly buffer NewState { PAIR words[]; } new_state;
+#else
+layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { uint words[]; } network_input;
+layout(set = 0, binding = 8, std430) writeonly buffer NewState { uint words[]; } new_state;
+#endif
+layout(set = 0, binding = 9, std430) writeonly buffer Dilated { PAIR words[]; } dilated;
 #include "warped.glsl"
-#define CLOSEST_LAST 2
 #include "closest.glsl"
 #if SIDE == 1
-layout(set = 0, binding = 6, r32ui) readonly uniform uimage2D scatter;
+layout(set = 0, binding = 6) uniform utextureBuffer scatter;
 #include "scattered.glsl"
 #else
 layout(set = 0, binding = 6, r8) readonly uniform image2D disocclusion;
@@ -43,7 +42,11 @@ layout(set = 0, binding = 6, r8) readonly uniform image2D disocclusion;
 const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
 const ivec2 kNetwork = (kRender + SIDE - 1) / SIDE;
 
-vec3 exposed_texel(ivec2 at) { return exposed(imageLoad(color, inside(at, kRender)).rgb, params.exposure); }
+uvec2 color_words(ivec2 at) {
+  at = inside(at, kRender);
+  return texelFetch(color, at.y * RAW_COLOR_PITCH + at.x).rg;
+}
+vec3 exposed_color(uvec2 words) { return exposed(finite_color(half_rgb(words)), params.exposure); }
 
 uint code(float value) {
   const int q = int(floor(value * (1.0 / float(INPUT_SCALE)) + 0.5)) + INPUT_ZERO_POINT;
@@ -57,26 +60,40 @@ uint pack4(float a, float b, float c, float d) {
 /// What a network texel leaves.
 struct Texel {
   uint words[3];
-  vec4 state;
+  uint state;
 };
 
-/// before: uv of the frame before, in the network's picture without padding. now: exposed; around: differences of work
-/// colours.
-Texel network_texel(vec3 past, vec2 moved, vec2 before, bool hidden, vec3 now, vec3 work, vec4 around) {
+/// What is read of feedback and state around a place of the network's picture: they have the same texels.
+struct Kept {
+  Bilinear at;
+  ivec4 feedback[4], state[4];
+};
+
+/// before: uv of the frame before, in the network's picture without padding.
+void fetch_kept(vec2 before, out Kept kept) {
+  kept.at = bilinear_at(before * vec2(kNetwork) / vec2(kPadded), kPadded);
+  [[unroll]] for (int i = 0; i < 4; ++i) {
+    const ivec2 at = bilinear_texel(kept.at, i, kPadded);
+    kept.feedback[i] = texelFetch(feedback, at.y * kPadded.x + at.x);
+    kept.state[i] = texelFetch(state, at.y * STATE_PITCH + at.x);
+  }
+}
+
+/// now: exposed; around: differences of work colours.
+Texel network_texel(vec3 past, vec2 moved, Kept kept, bool hidden, vec3 now, vec3 work, vec4 around) {
   const float unit = length(1.0 / vec2(kRender));
   const float speed = sqrt((clamp(length(moved), unit, 200.0 * unit) - unit) * (1.0 / (199.0 * unit)));
-  // Feedback and state have the same texels.
-  const Bilinear b = bilinear_at(before * vec2(kNetwork) / vec2(kPadded), kPadded);
   vec4 fed = vec4(0.0), old_state = vec4(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i) {
-    const ivec2 at = bilinear_texel(b, i, kPadded);
-    const float weight = bilinear_weight(b.part, i);
-    fed += weight * vec4(texelFetch(feedback, at.y * kPadded.x + at.x) - TEMPORAL_ZERO_POINT);
-    old_state += weight * HISTORY_TEXEL(state, at);
+    const float weight = bilinear_weight(kept.at.part, i);
+    fed += weight * vec4(kept.feedback[i] - TEMPORAL_ZERO_POINT);
+    old_state += weight * snorm(kept.state[i]);
   }
   fed *= hidden ? 0.0 : not_reset() * float(TEMPORAL_SCALE);
   Texel texel;
-  const float flicker = instability(work, around, old_state * not_reset(), hidden, texel.state);
+  vec4 next;
+  const float flicker = instability(work, around, old_state * not_reset(), hidden, next);
+  texel.state = snorm_word(next);
   const vec3 shown = karis(now);
   past *= not_reset();
   texel.words[0] = pack4(past.r, past.g, past.b, shown.r);
@@ -85,9 +102,16 @@ Texel network_texel(vec3 past, vec2 moved, vec2 before, bool hidden, vec3 now, v
   return texel;
 }
 
-vec2 texel_motion(ivec2 at, out vec2 raw) {
-  raw = texelFetch(motion, at, 0).rg;
-  return long_motion(raw, kRender, 0.1);
+/// raw: as the host gave it.
+vec2 texel_motion(ivec2 at, out uint raw) {
+  raw = texelFetch(motion, at.y * RAW_MOTION_PITCH + at.x).r;
+  return long_motion(unpackHalf2x16(raw), kRender, 0.1);
+}
+
+void store_dilated(ivec2 first, uint raw[2][2]) {
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    if (first.y + y < COLOR_HEIGHT)
+      dilated.words[((first.y + y) * DILATED_PITCH + first.x) / 2] = pair(raw[y][0], raw[y][1]);
 }
 
 #if SIDE == 1
@@ -98,18 +122,42 @@ void main() {
   const ivec2 from = mirrored(first, kNetwork), to = mirrored(first + 1, kNetwork);
   const ivec2 base = min(from, to);
 
-  Closest closest[2][2];
-  closest_in_tile(base, closest);
-
-  // Without jitter all texels lie at the same place between four samples: exposed colours around the tile, bilinear
-  // between them, and the work colours of the tile with its four sides.
+  // Fetches that wait for nothing come first, then those that wait for the closest depth, for motion; all of them before
+  // any use, so that many are under way at once.
   const vec2 place = -clamp(params.jitter, -0.5, 0.5);
   const ivec2 shift = ivec2(floor(place));
   const vec2 part = place - vec2(shift);
+  uvec2 words[5][5];
+  [[unroll]] for (int y = 0; y < 5; ++y)
+    [[unroll]] for (int x = 0; x < 5; ++x)
+      if ((x != 0 && x != 4) || (y != 0 && y != 4)) words[y][x] = color_words(base + shift + ivec2(x, y) - 1);
+  Closest closest[2][2];
+  closest_in_tile(base, closest);
+  uint raw[2][2];
+  vec2 moved[2][2];
+  Bilinear past_at[2][2], scattered_at[2][2];
+  uvec2 past_words[2][2][4];
+  uint codes[2][2][4];
+  Kept kept[2][2];
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    [[unroll]] for (int x = 0; x < 2; ++x) moved[y][x] = texel_motion(closest[y][x].at, raw[y][x]);
+  [[unroll]] for (int y = 0; y < 2; ++y) {
+    [[unroll]] for (int x = 0; x < 2; ++x) {
+      const vec2 before = (vec2(base + ivec2(x, y)) + 0.5) / vec2(kRender) - moved[y][x];
+      past_at[y][x] = bilinear_at(before, kOutput);
+      fetch_history(past_at[y][x], past_words[y][x]);
+      scattered_at[y][x] = bilinear_at(before, kScattered);
+      fetch_scattered(scattered_at[y][x], codes[y][x]);
+      fetch_kept(before, kept[y][x]);
+    }
+  }
+
+  // Without jitter all texels lie at the same place between four samples: exposed colours around the tile, bilinear
+  // between them, and the work colours of the tile with its four sides.
   vec3 samples[5][5];
   [[unroll]] for (int y = 0; y < 5; ++y)
     [[unroll]] for (int x = 0; x < 5; ++x)
-      if ((x != 0 && x != 4) || (y != 0 && y != 4)) samples[y][x] = exposed_texel(base + shift + ivec2(x, y) - 1);
+      if ((x != 0 && x != 4) || (y != 0 && y != 4)) samples[y][x] = exposed_color(words[y][x]);
   vec3 now[4][4], work[4][4];
   [[unroll]] for (int y = 0; y < 4; ++y) {
     [[unroll]] for (int x = 0; x < 4; ++x) {
@@ -124,20 +172,19 @@ void main() {
   [[unroll]] for (int y = 0; y < 2; ++y) {
     [[unroll]] for (int x = 0; x < 2; ++x) {
       const ivec2 at = base + ivec2(x, y);
-      vec2 raw;
-      const vec2 moved = texel_motion(closest[y][x].at, raw);
-      const vec2 before = (vec2(at) + 0.5) / vec2(kRender) - moved;
-      const bool hidden = disoccluded(before, view_z(closest[y][x].depth), 0.0) > 0.01;
+      const float z = view_z(closest[y][x].depth);
+      const bool hidden = disoccluded(scattered_at[y][x], codes[y][x], z, 0.0) > 0.01;
       // A neighbour beyond the border is the texel itself.
       const vec3 own = work[y + 1][x + 1];
       const vec4 around = vec4(at.y > 0 ? color_distance(own, work[y][x + 1]) : 0.0,
                                at.y < kRender.y - 1 ? color_distance(own, work[y + 2][x + 1]) : 0.0,
                                at.x < kRender.x - 1 ? color_distance(own, work[y + 1][x + 2]) : 0.0,
                                at.x > 0 ? color_distance(own, work[y + 1][x]) : 0.0);
-      texels[y][x] = network_texel(history_at(before), moved, before, hidden, now[y + 1][x + 1], own, around);
-      if (at.x < kRender.x && at.y < kRender.y && all(equal(first, base))) imageStore(dilated, at, vec4(raw, 0.0, 0.0));
+      texels[y][x] = network_texel(warped(past_at[y][x], past_words[y][x]), moved[y][x], kept[y][x], hidden,
+                                   now[y + 1][x + 1], own, around);
     }
   }
+  if (all(equal(first, base))) store_dilated(first, raw);
 #if COLOR_WIDTH % 2 == 1
   if (from.x == to.x) texels[0][1] = texels[0][0], texels[1][1] = texels[1][0];
 #endif
@@ -148,15 +195,15 @@ void main() {
     const bool turned = from.x > to.x;
     const int line = from.y > to.y ? first.y + 1 - y : first.y + y;
     const Texel left = texels[y][0], right = texels[y][1];
-    const int word = (line * kPadded.x + first.x) / 2 * 3;
+    const int two = (line * kPadded.x + first.x) / 2;
     const uvec3 l = uvec3(left.words[0], left.words[1], left.words[2]);
     const uvec3 r = uvec3(right.words[0], right.words[1], right.words[2]);
     const uvec3 a = turned ? r : l, b = turned ? l : r;
-    network_input.words[word] = a.xy;
-    network_input.words[word + 1] = uvec2(a.z, b.x);
-    network_input.words[word + 2] = b.yz;
-    imageStore(new_state, ivec2(turned ? first.x + 1 : first.x, line), left.state);
-    imageStore(new_state, ivec2(turned ? first.x : first.x + 1, line), right.state);
+    network_input.words[two * 3] = pair(a.x, a.y);
+    network_input.words[two * 3 + 1] = pair(a.z, b.x);
+    network_input.words[two * 3 + 2] = pair(b.y, b.z);
+    new_state.words[(line * STATE_PITCH + first.x) / 2] =
+        pair(turned ? right.state : left.state, turned ? left.state : right.state);
   }
 }
 #else
@@ -166,7 +213,7 @@ vec3 current(ivec2 at) {
   const Bilinear b = bilinear_at(uv - clamp(params.jitter, -0.5, 0.5) / vec2(kRender), kRender);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * exposed_texel(b.base + ivec2(i & 1, i >> 1));
+    sum += bilinear_weight(b.part, i) * exposed_color(color_words(b.base + ivec2(i & 1, i >> 1)));
   return sum;
 }
 
@@ -198,27 +245,31 @@ void main() {
   vec3 past = vec3(0.0);
   vec2 moved = vec2(0.0);  // of the closest lane
   float nearest = 0.0;
+  uint raw[2][2];
   [[unroll]] for (int y = 0; y < 2; ++y) {
     [[unroll]] for (int x = 0; x < 2; ++x) {
       const ivec2 lane = inside(2 * at + ivec2(x, y), kRender);
-      vec2 raw;
-      const vec2 lane_moved = texel_motion(closest[y][x].at, raw);
-      past += 0.25 * history_at((vec2(lane) + 0.5) / vec2(kRender) - lane_moved);
+      const vec2 lane_moved = texel_motion(closest[y][x].at, raw[y][x]);
+      const Bilinear b = bilinear_at((vec2(lane) + 0.5) / vec2(kRender) - lane_moved, kOutput);
+      uvec2 words[4];
+      fetch_history(b, words);
+      past += 0.25 * warped(b, words);
       const bool leads = (x == 0 && y == 0) || away * closest[y][x].depth < away * nearest;
       nearest = leads ? closest[y][x].depth : nearest;
       moved = leads ? lane_moved : moved;
-      // At an odd border some are written twice, alike.
-      if (all(lessThan(padded, kNetwork))) imageStore(dilated, lane, vec4(raw, 0.0, 0.0));
     }
   }
+  if (all(lessThan(padded, kNetwork))) store_dilated(2 * at, raw);
   const vec3 now = current(at), work = work_color(now);
   const vec4 around = vec4(color_distance(work, work_color(current(at + ivec2(0, -1)))),
                            color_distance(work, work_color(current(at + ivec2(0, 1)))),
                            color_distance(work, work_color(current(at + ivec2(1, 0)))),
                            color_distance(work, work_color(current(at + ivec2(-1, 0)))));
-  const Texel texel = network_texel(past, moved, uv - moved, disocclusion_at(uv) > 0.01, now, work, around);
+  Kept kept;
+  fetch_kept(uv - moved, kept);
+  const Texel texel = network_texel(past, moved, kept, disocclusion_at(uv) > 0.01, now, work, around);
   const int word = (padded.y * kPadded.x + padded.x) * 3;
   [[unroll]] for (int i = 0; i < 3; ++i) network_input.words[word + i] = texel.words[i];
-  imageStore(new_state, padded, texel.state);
+  new_state.words[padded.y * STATE_PITCH + padded.x] = texel.state;
 }
 #endif

@@ -1,10 +1,13 @@
-// shaders/frame/nss/warped.glsl -- the history as the networks see it: bilinear at uv, exposed, Karis. Expects the image
-// `history`.
+// shaders/frame/nss/warped.glsl -- the history as the networks see it: bilinear at uv, exposed, Karis. Expects the texel
+// buffer `history`.
+#include "history_texel.glsl"
 
-vec3 history_at(vec2 uv) {
-  const Bilinear b = bilinear_at(uv, kOutput);
+/// The four texels around, as they lie in memory.
+void fetch_history(Bilinear b, out uvec2 words[4]) {
+  [[unroll]] for (int i = 0; i < 4; ++i) words[i] = history_words(bilinear_texel(b, i, kOutput));
+}
+vec3 warped(Bilinear b, uvec2 words[4]) {
   vec3 sum = vec3(0.0);
-  [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * HISTORY_TEXEL(history, bilinear_texel(b, i, kOutput)).rgb;
-  return karis(exposed(sum, params.exposure));
+  [[unroll]] for (int i = 0; i < 4; ++i) sum += bilinear_weight(b.part, i) * half_rgb(words[i]);
+  return karis_of(sum);
 }
