@@ -104,23 +104,6 @@ vec2 long_motion(vec2 motion, ivec2 size, float least) {
 
 bool on_screen(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThan(uv, vec2(1.0))); }
 
-/// Offset of the closest depth around `at`, each axis in [-1, last]; the centre wins a tie, then the first in rows.
-ivec2 closest_offset(utextureBuffer depth, int pitch, ivec2 at, int last, out float closest) {
-  ivec2 best = ivec2(0);
-  closest = finite_depth(uintBitsToFloat(texelFetch(depth, at.y * pitch + at.x).r));
-  for (int y = -1; y <= last; ++y) {
-    for (int x = -1; x <= last; ++x) {
-      const ivec2 other = inside(at + ivec2(x, y), kRender);
-      const float d = finite_depth(uintBitsToFloat(texelFetch(depth, other.y * pitch + other.x).r));
-      if (closer(d, closest)) {
-        closest = d;
-        best = ivec2(x, y);
-      }
-    }
-  }
-  return best;
-}
-
 /// Of the depth clip; 2 at 960x540.
 const float kPower = mix(1.0, 3.0, clamp(length(vec2(kRender)) / length(vec2(1920.0, 1080.0)), 0.0, 1.0));
 
