@@ -1,6 +1,6 @@
 #!/bin/sh
 # Measures the device at hand and writes tests/bench/RESULTS.md: layer classes by kernel_bench, networks by
-# shale bench, each against the roof that was measured in the same run. Takes about half an hour on two cores.
+# shale bench, each against the roof that was measured in the same run. Takes about 40 minutes on two cores.
 #
 #   [MODELS="nss_v1_high ..."] tests/bench/results.sh [BUILD_FOLDER]
 #
@@ -51,6 +51,12 @@ END
   for model in nss_v1_low nss_v0_1 srpo_x2; do
     "$build/tools/shale" bench models/$model --render 960x540 --markdown | sed -n '/^### /{x;p;x};/^### /,$p'
   done
+  echo
+  echo "## Frames"
+  echo
+  echo "960x540 to 1920x1080; copies are those of the host's images and the clears. By \`tests/bench/frames.sh\`."
+  echo
+  tests/bench/frames.sh "$build"
 } > "$part"
 mv "$part" "$out"
 echo "wrote $out"
