@@ -6,7 +6,7 @@
 #include <set>
 
 #include "compiler/cost/cost.h"
-#include "compiler/memory/planner.h"
+#include "compiler/plan/memory.h"
 
 namespace shale {
 namespace {

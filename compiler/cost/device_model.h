@@ -6,7 +6,7 @@
 
 #include "compiler/passes/op_kind.h"
 #include "compiler/target/modelled_device.h"
-#include "compiler/tile/tile.h"
+#include "compiler/plan/tiles.h"
 
 namespace shale {
 

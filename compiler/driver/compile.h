@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "compiler/driver/frame.h"
+#include "compiler/plan/frame.h"
 #include "compiler/frontend/frontend.h"
 #include "compiler/kernels/kernel.h"
 #include "compiler/passes/pass.h"
@@ -34,6 +34,8 @@ struct CompileOptions {
   bool optimize_spirv = true;
   std::optional<Frame> frame;  ///< with it the package holds pre and post passes too
   ShaderLoader load_shader;    ///< needed with `frame`
+  /// Bytes of a model file by its path in frame.json; needed for every graph but the first.
+  std::function<Result<std::vector<uint8_t>>(const std::string& path)> load_model;
   FrameSizes sizes;            ///< for `frame`
   std::string model_name = "model";
   /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
@@ -42,7 +44,8 @@ struct CompileOptions {
 
 struct Compiled {
   Package package;
-  Graph graph;  ///< after the passes, groups set
+  Graph graph;  ///< of the first network, after the passes, groups set; empty without one
+  std::vector<Graph> further_graphs;
   std::vector<std::string> warnings;
   std::vector<PassTiming> timings;
   uint64_t arena_lower_bound_bytes = 0;
@@ -59,12 +62,16 @@ Result<Graph> shaped_graph(std::span<const uint8_t> model, const CompileOptions&
 /// A shaped graph as compile() cuts it into dispatches: after the passes, groups set. No code is made.
 Result<Graph> fused_graph(Graph graph, const CompileOptions& options);
 
-/// The same input and options give the same bytes. With a frame that has no graph pass, `model` may
-/// be empty and is not looked at.
+/// The same input and options give the same bytes. `model` is the first graph of a frame; with a frame
+/// that has none it may be empty and is not looked at.
 /// Errors: those of every step.
 Result<Compiled> compile(std::span<const uint8_t> model, const CompileOptions& options);
 
 /// As above, from a graph; `model_hash` goes into the provenance.
 Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOptions& options);
+
+/// What compile() would put into the package, as text, a plan for each target; no code is made.
+/// Errors: as compile(), but for those of kernels' code.
+Result<std::vector<std::string>> plan_texts(std::span<const uint8_t> model, const CompileOptions& options);
 
 }  // namespace shale

@@ -16,6 +16,10 @@ namespace {
 struct GlslangProcess {
   GlslangProcess() { glslang::InitializeProcess(); }
   ~GlslangProcess() { glslang::FinalizeProcess(); }
+  static const GlslangProcess& started() {
+    static const GlslangProcess process;
+    return process;
+  }
 };
 
 class Includer : public glslang::TShader::Includer {
@@ -70,34 +74,49 @@ std::string first_error(const char* log) {
   return text.substr(start, text.find('\n', start) - start);
 }
 
+/// A shader as glslang takes it; the texts outlive it.
+class Shader {
+ public:
+  Shader(std::string_view source, const Defines& defines, const std::string& where)
+      : text_(source.data()), length_(static_cast<int>(source.size())), name_(where.c_str()) {
+    for (const auto& [name, value] : defines) preamble_ += "#define " + name + " " + value + "\n";
+    shader_.setStringsWithLengthsAndNames(&text_, &length_, &name_, 1);
+    shader_.setPreamble(preamble_.c_str());
+    shader_.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
+    // SPIR-V 1.6 would state the workgroup by LocalSizeId, which asks the host to enable
+    // maintenance4.
+    shader_.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_2);
+    // From 1.6 on glslang writes the local size as ids, which a device may run only with the feature
+    // maintenance4 enabled; and spirv_needs reads the literal form.
+    shader_.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_5);
+  }
+  glslang::TShader& operator*() { return shader_; }
+  glslang::TShader* operator->() { return &shader_; }
+
+ private:
+  const GlslangProcess& process_ = GlslangProcess::started();  // before any shader
+  const char* text_;
+  int length_;
+  const char* name_;
+  std::string preamble_ = "#extension GL_GOOGLE_include_directive : require\n";
+  glslang::TShader shader_{EShLangCompute};
+};
+
+constexpr EShMessages kMessages =
+    static_cast<EShMessages>(int{EShMsgSpvRules} | int{EShMsgVulkanRules});
+
 }  // namespace
 
 Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
                            const std::string& where, const IncludeLoader& load) {
-  static const GlslangProcess process;
-  std::string preamble = "#extension GL_GOOGLE_include_directive : require\n";
-  for (const auto& [name, value] : defines) preamble += "#define " + name + " " + value + "\n";
-  glslang::TShader shader(EShLangCompute);
-  const char* text = source.data();
-  const int length = static_cast<int>(source.size());
-  const char* name = where.c_str();
-  shader.setStringsWithLengthsAndNames(&text, &length, &name, 1);
-  shader.setPreamble(preamble.c_str());
-  shader.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
-  // SPIR-V 1.6 would state the workgroup by LocalSizeId, which asks the host to enable
-  // maintenance4.
-  shader.setEnvClient(glslang::EShClientVulkan, glslang::EShTargetVulkan_1_2);
-  // From 1.6 on glslang writes the local size as ids, which a device may run only with the feature
-  // maintenance4 enabled; and spirv_needs reads the literal form.
-  shader.setEnvTarget(glslang::EShTargetSpv, glslang::EShTargetSpv_1_5);
+  Shader shader(source, defines, where);
   const TBuiltInResource limits = resource_limits();
-  const EShMessages messages = static_cast<EShMessages>(EShMsgSpvRules | EShMsgVulkanRules);
   Includer includer(load);
-  if (!shader.parse(&limits, 450, ENoProfile, false, false, messages, includer))
-    return bad_input(where, "the shader does not compile: {}", first_error(shader.getInfoLog()));
+  if (!shader->parse(&limits, 450, ENoProfile, false, false, kMessages, includer))
+    return bad_input(where, "the shader does not compile: {}", first_error(shader->getInfoLog()));
   glslang::TProgram program;
-  program.addShader(&shader);
-  if (!program.link(messages))
+  program.addShader(&*shader);
+  if (!program.link(kMessages))
     return bad_input(where, "the shader does not link: {}", first_error(program.getInfoLog()));
   Spirv words;
   glslang::SpvOptions options;
@@ -108,6 +127,17 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
   glslang::GlslangToSpv(*program.getIntermediate(EShLangCompute), words, &options);
   SHALE_TRY_VOID(complete_cooperative_matrices(words, where));
   return words;
+}
+
+Result<std::string> preprocess_glsl(std::string_view source, const Defines& defines,
+                                    const std::string& where, const IncludeLoader& load) {
+  Shader shader(source, defines, where);
+  const TBuiltInResource limits = resource_limits();
+  Includer includer(load);
+  std::string text;
+  if (!shader->preprocess(&limits, 450, ENoProfile, false, false, kMessages, &text, includer))
+    return bad_input(where, "the shader does not compile: {}", first_error(shader->getInfoLog()));
+  return text;
 }
 
 }  // namespace shale

@@ -24,4 +24,9 @@ using IncludeLoader = std::function<Result<std::string>(const std::string& name)
 Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
                            const std::string& where, const IncludeLoader& load = {});
 
+/// The source with includes and macros expanded and without comments.
+/// Errors: as compile_glsl.
+Result<std::string> preprocess_glsl(std::string_view source, const Defines& defines,
+                                    const std::string& where, const IncludeLoader& load = {});
+
 }  // namespace shale

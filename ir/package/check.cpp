@@ -235,11 +235,7 @@ Result<void> check_transfer(const std::string& where, const Dispatch& transfer,
   }
   if (transfer.bindings.size() != (copies ? 2 : 1))
     return bad_input(where, "has {} ends, expected {}", transfer.bindings.size(), copies ? 2 : 1);
-  if (!copies) {
-    if (!is_linear(end(0)))
-      return bad_input(where, "clears \"{}\", which is no linear image", end(0).name);
-    return {};
-  }
+  if (!copies) return {};
   if (end(0).format != end(1).format || end(0).width != end(1).width ||
       end(0).height != end(1).height)
     return bad_input(where, "copies \"{}\" to \"{}\", which has another format or extent",

@@ -215,7 +215,7 @@ enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1, kTransfer = 2 };
 
 /// What the dispatches of a kTransfer segment do, by their kernel; they have no module. A copy reads
 /// binding 0 and writes binding 1, images of one format and extent of which one is linear and the
-/// other is not. A clear writes zeros to binding 0, a linear image.
+/// other is not. A clear writes zeros to binding 0, an image.
 inline constexpr std::string_view kCopyKernel = "copy", kClearKernel = "clear";
 
 /// Dispatches in order. A pre or post pass is a kCompute or kTransfer segment around the kGraph

@@ -318,7 +318,12 @@ void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const V
   const Target first = target(transfer.bindings[0]);
   const Resource& image = variant.resources[transfer.bindings[0].resource];
   if (transfer.kernel == kClearKernel) {
-    vkCmdFillBuffer(commands, first.buffer, first.offset, image.size_bytes, 0);
+    const VkClearColorValue zero{};
+    if (first.buffer)
+      vkCmdFillBuffer(commands, first.buffer, first.offset, image.size_bytes, 0);
+    else
+      vkCmdClearColorImage(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
+                           &vk::kWholeImage);
     return;
   }
   const Target to = target(transfer.bindings[1]);

@@ -720,8 +720,6 @@ TEST(LinearImages, AndTransfersFollowRules) {
        "dispatch \"take\": copies \"color\" to \"kept\", which has another format or extent"},
       {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].resource = 0; },
        "dispatch \"take\", binding 1: an image descriptor leads to the tensor \"x\""},
-      {[](Variant& v) { v.segments[0].dispatches[1].bindings[0].resource = 7; },
-       "dispatch \"empty\": clears \"scratch\", which is no linear image"},
       {[](Variant& v) {
          v.segments[0].dispatches[1].bindings[0].type = BindingType::kStorageBuffer;
        },

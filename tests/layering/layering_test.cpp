@@ -29,7 +29,6 @@ const std::vector<Rule> kRules{
     {"ir/package/", {"ir/base/", "ir/package/", "ir/schema/package_generated.h"}},
     {"compiler/", {"ir/", "compiler/"}},
     {"compiler/target/", {"ir/base/", "ir/package/", "compiler/target/"}},
-    {"compiler/memory/", {"ir/base/", "compiler/memory/"}},
     {"compiler/spirv/", {"ir/base/", "ir/package/", "compiler/spirv/"}},
     {"runtime/", {"ir/base/", "ir/package/", "runtime/"}},
     {"tools/", {"ir/", "compiler/", "runtime/", "tools/"}},
@@ -52,7 +51,7 @@ const std::vector<Door> kDoors{
     {std::regex("^CLI/"), {"tools/"}},
     {std::regex("^stb/"), {"tools/"}},
     {std::regex("^OpenEXR/"), {"tools/scene/exr.cpp"}},
-    {std::regex("^nlohmann/"), {"compiler/driver/frame.cpp", "compiler/cost/", "tools/"}},
+    {std::regex("^nlohmann/"), {"compiler/plan/frame.cpp", "compiler/cost/", "tools/"}},
 };
 
 bool starts_with_any(const std::string& text, const std::vector<std::string>& prefixes) {

@@ -105,9 +105,7 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
     model.frame = *std::move(parsed);
     model.frame_folder = fs::path(frame).parent_path().string();
   }
-  const auto is_graph = [](const FramePass& pass) { return pass.is_graph; };
-  if (model.frame && is_folder &&
-      std::none_of(model.frame->passes.begin(), model.frame->passes.end(), is_graph)) {
+  if (model.frame && is_folder && graph_files(*model.frame).empty()) {
     model.path = frame;
     return model;
   }
@@ -304,6 +302,9 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   }
   options.load_shader = [folder = model.frame_folder](const std::string& path) {
     return read_text((fs::path(folder) / path).string());
+  };
+  options.load_model = [folder = model.frame_folder](const std::string& path) {
+    return read_file((fs::path(folder) / path).string());
   };
   for (const std::string& pass : dump_after)
     if (pass != "all" && !find_pass(pass))

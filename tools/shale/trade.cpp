@@ -77,9 +77,8 @@ Result<Contender> contender_of(const std::string& path, const std::string& preci
   contender.hash = stable_hash(contender.files.bytes);
   SHALE_TRY(contender.hash, hash_folder(fs::path(contender.files.frame_folder), contender.hash));
   std::set<fs::path> folders;
-  for (const FramePass& pass : contender.files.frame->passes)
-    if (!pass.is_graph)
-      folders.insert((fs::path(contender.files.frame_folder) / pass.shader).parent_path());
+  for (const FramePass* pass : shader_passes(*contender.files.frame))
+    folders.insert((fs::path(contender.files.frame_folder) / pass->shader).parent_path());
   for (const fs::path& folder : folders) {
     SHALE_TRY(contender.hash, hash_folder(folder, contender.hash));
   }
@@ -175,7 +174,7 @@ Result<Json> modelled(const Contender& contender, const Sizes& at, const Modelle
   // The passes move much and compute little: their time is their memory's.
   const double bytes =
       pass_bytes(*contender.files.frame, at.render, at.output, graph ? &*graph : nullptr);
-  const size_t passes = contender.files.frame->passes.size() - !contender.is_baseline();
+  const size_t passes = shader_passes(*contender.files.frame).size();
   json["passes_ms"] = 1e-6 * bytes / device.memory_gbps.value +
                       1e-3 * device.dispatch_us.value * static_cast<double>(passes);
   json["total_ms"] = json["passes_ms"].get<double>() + json["network_ms"].get<double>();

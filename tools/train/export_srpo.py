@@ -103,7 +103,7 @@ def frame_description(network: quantize.Int8Srpo) -> dict:
     """frame.json: quantize the frame, run the network, then project, interpolate and fuse."""
     shader = "../../shaders/frame/srpo"
     return {
-        "schema": "shale-frame/1",
+        "schema": "shale-frame/2",
         "render": [480, 270],
         "output": [480 * network.scale, 270 * network.scale],
         "ratio": [network.scale, network.scale],
@@ -117,14 +117,10 @@ def frame_description(network: quantize.Int8Srpo) -> dict:
             {"name": "offsets", "scale": network.offset_scale, "zero_point": network.layers[2].output_zp},
         ],
         "passes": [
-            {"name": "pre", "shader": f"{shader}/pre.comp", "over": "color", "workgroup": [8, 8],
-             "bindings": [{"binding": 0, "image": "color", "access": "read"},
-                          {"binding": 1, "tensor": "input", "access": "write"}]},
+            {"name": "pre", "shader": f"{shader}/pre.comp", "over": "color", "reads": ["color"], "writes": ["input"]},
             {"graph": "model.tosa"},
-            {"name": "post", "shader": f"{shader}/post.comp", "over": "output", "workgroup": [8, 8],
-             "bindings": [{"binding": 0, "image": "color", "access": "read"},
-                          {"binding": 1, "tensor": "offsets", "access": "read"},
-                          {"binding": 2, "image": "output", "access": "write"}]},
+            {"name": "post", "shader": f"{shader}/post.comp", "over": "output", "reads": ["color", "offsets"],
+             "writes": ["output"]},
         ],
     }
 

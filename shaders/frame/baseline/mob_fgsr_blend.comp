@@ -7,18 +7,10 @@
 // screen and within 0.01 of the depth, the current colour alone.
 // Source: Mob-FGSR (SIGGRAPH 2024), seed_networks.md sections 4.3 and 4.4.
 #version 450
-#extension GL_EXT_samplerless_texture_functions : require
+#include "access.glsl"
 #include "color.glsl"
-#include "sampling.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1) uniform texture2D depth;           // dilated
-layout(set = 0, binding = 2) uniform texture2D motion;          // dilated
-layout(set = 0, binding = 3) uniform texture2D previous_depth;  // dilated, one frame back
-layout(set = 0, binding = 4) uniform texture2D history;         // one frame back
-layout(set = 0, binding = 5, rgba16f) writeonly uniform image2D new_history;
-layout(set = 0, binding = 6, rgba16f) writeonly uniform image2D shown;
 
 SHALE_PARAMS;
 
@@ -27,7 +19,7 @@ const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
 const float kDepthThreshold = 0.01;
 
 vec3 texel(ivec2 at) {
-  return karis(exposed(finite_color(texelFetch(color, inside(at, kRender), 0).rgb), params.exposure));
+  return karis(exposed(finite_color(rgb_of(fetch_color(inside(at, kRender)))), params.exposure));
 }
 
 vec4 cubic(float x) {
@@ -41,7 +33,7 @@ vec3 history_at(vec2 uv) {
   vec3 sum = vec3(0.0);
   for (int y = 0; y < 4; ++y)
     for (int x = 0; x < 4; ++x)
-      sum += wx[x] * wy[y] * texelFetch(history, inside(b.base + ivec2(x, y) - 1, kOutput), 0).rgb;
+      sum += wx[x] * wy[y] * rgb_of(fetch_history(inside(b.base + ivec2(x, y) - 1, kOutput)));
   return sum;
 }
 
@@ -56,11 +48,11 @@ void main() {
   for (int i = 0; i < 4; ++i) now += bilinear_weight(part, i) * texel(ivec2(base) + ivec2(i & 1, i >> 1));
 
   const ivec2 render = (2 * at + 1) * kRender / (2 * kOutput);
-  const vec2 before = uv - texelFetch(motion, render, 0).rg;
+  const vec2 before = uv - xy_of(fetch_dilated_motion(render));
   vec3 result = now;
   if (params.reset == 0 && all(greaterThanEqual(before, vec2(0.0))) && all(lessThan(before, vec2(1.0)))) {
-    const float z = texelFetch(depth, render, 0).r;
-    const float z_before = texelFetch(previous_depth, inside(ivec2(before * vec2(kRender)), kRender), 0).r;
+    const float z = fetch_dilated_depth(render);
+    const float z_before = fetch_previous_depth(inside(ivec2(before * vec2(kRender)), kRender));
     if (abs(z - z_before) < kDepthThreshold) {
       const ivec2 centre = inside(ivec2(floor(scene)), kRender);
       vec3 low = ycocg(texel(centre)), high = low;
@@ -74,6 +66,6 @@ void main() {
       result = mix(past, now, max(0.25 - 0.4 * dot(q, q), 0.0));
     }
   }
-  imageStore(new_history, at, vec4(result, 1.0));
-  imageStore(shown, at, vec4(min(karis_inverse(result) / params.exposure, kMaxColor), 1.0));
+  store_history(at, half4(result));
+  store_output(at, half4(min(karis_inverse(result) / params.exposure, kMaxColor)));
 }

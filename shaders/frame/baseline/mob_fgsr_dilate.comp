@@ -3,14 +3,10 @@
 // One invocation per render texel; the centre wins a tie. dilated_depth is r32_float, dilated_motion rg16_float in uv.
 // Source: Mob-FGSR (SIGGRAPH 2024), seed_networks.md section 4.1.
 #version 450
-#extension GL_EXT_samplerless_texture_functions : require
+#include "access.glsl"
 #include "color.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D depth;
-layout(set = 0, binding = 1) uniform texture2D motion;
-layout(set = 0, binding = 2, r32f) writeonly uniform image2D dilated_depth;
-layout(set = 0, binding = 3, rg16f) writeonly uniform image2D dilated_motion;
 
 SHALE_PARAMS;
 
@@ -18,7 +14,7 @@ const ivec2 kRender = ivec2(COLOR_WIDTH, COLOR_HEIGHT);
 
 /// Depth with near at 0 whatever the host's order; NaN is the farthest.
 float depth_at(ivec2 at) {
-  const float d = finite_in(texelFetch(depth, clamp(at, ivec2(0), kRender - 1), 0).r, 0.0, 1.0,
+  const float d = finite_in(fetch_depth(inside(at, kRender)), 0.0, 1.0,
                             params.reverse_depth != 0 ? 0.0 : 1.0);
   return params.reverse_depth != 0 ? 1.0 - d : d;
 }
@@ -36,7 +32,7 @@ void main() {
       from = clamp(neighbour, ivec2(0), kRender - 1);
     }
   }
-  const vec2 m = texelFetch(motion, from, 0).rg * params.motion_scale;
-  imageStore(dilated_depth, at, vec4(closest));
-  imageStore(dilated_motion, at, vec4(finite_in(m.x, -1.0, 1.0, 0.0), finite_in(m.y, -1.0, 1.0, 0.0), 0.0, 0.0));
+  const vec2 m = xy_of(fetch_motion(from)) * params.motion_scale;
+  store_dilated_depth(at, closest);
+  store_dilated_motion(at, half2(vec2(finite_in(m.x, -1.0, 1.0, 0.0), finite_in(m.y, -1.0, 1.0, 0.0))));
 }

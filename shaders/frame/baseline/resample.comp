@@ -5,12 +5,10 @@
 // negative lobes leave below 0 is 0. FILTER: 0 nearest, 1 bilinear, 2 Catmull-Rom (Keys, a = -1/2), 3 Lanczos with
 // three lobes, weights normalized. Borders are clamped. Enlarging only, so the filters are as wide as render texels.
 #version 450
-#extension GL_EXT_samplerless_texture_functions : require
+#include "access.glsl"
 #include "color.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1, rgba16f) writeonly uniform image2D shown;
 
 SHALE_PARAMS;
 
@@ -31,7 +29,7 @@ float weight(float x) {
 }
 
 vec3 texel(ivec2 at) {
-  return karis(exposed(finite_color(texelFetch(color, clamp(at, ivec2(0), kRender - 1), 0).rgb), params.exposure));
+  return karis(exposed(finite_color(rgb_of(fetch_color(inside(at, kRender)))), params.exposure));
 }
 
 void main() {
@@ -55,5 +53,5 @@ void main() {
   }
   const vec3 result = max(sum / total, 0.0);
 #endif
-  imageStore(shown, at, vec4(min(karis_inverse(result) / params.exposure, kMaxColor), 1.0));
+  store_output(at, half4(min(karis_inverse(result) / params.exposure, kMaxColor)));
 }

@@ -1,5 +1,5 @@
-// shaders/frame/nss/block.glsl -- the depths of a block of BLOCK x BLOCK render texels, 2 or 4. Expects the texel buffers
-// `depth`, BLOCK texels a fetch, and `motion`.
+// shaders/frame/nss/block.glsl -- the depths of a block of BLOCK x BLOCK render texels, 2 or 4. Expects the images `depth` and
+// `motion`.
 
 struct Block {
   float closest, farthest;
@@ -10,10 +10,14 @@ Block block_at(ivec2 block) {
   const ivec2 first = block * BLOCK;
   Block result;
   [[unroll]] for (int y = 0; y < BLOCK; ++y) {
-    const int texel = (min(first.y + y, COLOR_HEIGHT - 1) * RAW_DEPTH_PITCH + first.x) / BLOCK;
-    const uvec4 words = texelFetch(depth, texel);
+    float row[BLOCK];
+#if BLOCK == 2
+    fetch2_depth(ivec2(block.x, min(first.y + y, COLOR_HEIGHT - 1)), row);
+#else
+    fetch4_depth(ivec2(block.x, min(first.y + y, COLOR_HEIGHT - 1)), row);
+#endif
     [[unroll]] for (int x = 0; x < BLOCK; ++x) {
-      const float d = finite_depth(uintBitsToFloat(words[x]));
+      const float d = finite_depth(row[x]);
       if (x == 0 && y == 0) result = Block(d, d, first);
       // At the border a block is smaller; a row that was read before cannot be closer.
       const bool is_inside = first.x + x < COLOR_WIDTH;
@@ -27,6 +31,5 @@ Block block_at(ivec2 block) {
 }
 
 vec2 block_motion(Block block) {
-  const uint halves = texelFetch(motion, block.from.y * RAW_MOTION_PITCH + block.from.x).r;
-  return long_motion(unpackHalf2x16(halves), kRender, 0.1);
+  return long_motion(xy_of(fetch_motion(block.from)), kRender, 0.1);
 }

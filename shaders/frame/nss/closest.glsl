@@ -1,11 +1,12 @@
 // shaders/frame/nss/closest.glsl -- the closest depth around each texel of a 2x2 tile, of which base.x is even.
-// Expects the texel buffer `depth`, four texels a fetch.
+// Expects the image `depth`.
 //
 // Offsets of a window lie in [-1, 2] on both axes; the centre wins a tie, then the first in rows. Windows of
 // neighbours overlap, so a tile reads each depth once, and a window is the closest of its rows' closest.
 
 const int kWindow = 4;  // texels a side
 const int kReach = 5;   // of the two windows of a tile
+const int kLastFour = (COLOR_WIDTH - 1) / 4;  // of a row's texels, four by four
 
 struct Closest {
   float depth;
@@ -14,17 +15,18 @@ struct Closest {
 
 /// Depths from texel at.x - 1 on, at.x even: they lie in two fetches, from the second or from the fourth of the first on.
 void depth_row(ivec2 at, out float row[kReach]) {
-  const int line = at.y * (RAW_DEPTH_PITCH / 4), first = (at.x - 1) >> 2;
-  const uvec4 a = texelFetch(depth, line + max(first, 0));
-  const uvec4 b = texelFetch(depth, line + min(first + 1, RAW_DEPTH_PITCH / 4 - 1));
+  const int first = (at.x - 1) >> 2;
+  float a[4], b[4];
+  fetch4_depth(ivec2(max(first, 0), at.y), a);
+  fetch4_depth(ivec2(min(first + 1, kLastFour), at.y), b);
   const bool late = (at.x & 2) == 0;
-  const uint words[kReach] =
-      uint[kReach](late ? a.w : a.y, late ? b.x : a.z, late ? b.y : a.w, late ? b.z : b.x, late ? b.w : b.y);
+  const float depths[kReach] = float[kReach](late ? a[3] : a[1], late ? b[0] : a[2], late ? b[1] : a[3],
+                                             late ? b[2] : b[0], late ? b[3] : b[1]);
   // Beyond the border the last texel counts again.
-  row[1] = finite_depth(uintBitsToFloat(words[1]));
-  row[0] = at.x == 0 ? row[1] : finite_depth(uintBitsToFloat(words[0]));
+  row[1] = finite_depth(depths[1]);
+  row[0] = at.x == 0 ? row[1] : finite_depth(depths[0]);
   [[unroll]] for (int x = 2; x < kReach; ++x)
-    row[x] = at.x + x - 1 < COLOR_WIDTH ? finite_depth(uintBitsToFloat(words[x])) : row[x - 1];
+    row[x] = at.x + x - 1 < COLOR_WIDTH ? finite_depth(depths[x]) : row[x - 1];
 }
 
 /// base: upper left texel of the tile; [y][x].

@@ -3,63 +3,19 @@
 // Conventions, settled here once: the sample in texel l of a frame lies at scene position l + 0.5 + jitter (render
 // pixels, y down); motion is in uv, and what is seen at uv was at uv - motion in the frame before.
 // Source: nss.md sections 2.1 and 2.2.
-#extension GL_EXT_samplerless_texture_functions : require
+#include "access.glsl"
 #include "color.glsl"
-#include "sampling.glsl"
 
 const ivec2 kRender = ivec2(COLOR_WIDTH, COLOR_HEIGHT);
 const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
 
 SHALE_PARAMS;
 
-// Images of the passes are linear: on a CPU driver a texel buffer gives a texel for half the work of a storage image, a
-// quarter of that of a sampled one, 16 bytes for little more than 4, and storing 8 bytes costs as much as 4. The images
-// of the host are copied.
-// Source: measured, shaders/frame/README.md.
-#if SHALE_ON_CPU
-#define PAIR double  // a loop over the lanes; two for a uvec2
-PAIR pair(uint low, uint high) { return packDouble2x32(uvec2(low, high)); }
-#else
-#define PAIR uvec2
-PAIR pair(uint low, uint high) { return uvec2(low, high); }
-#endif
-
-/// A word, packed: Mesa stores lane by lane, and LLVM would pack it lane by lane, too, but for the maximum.
-uint whole(uint word) { return max(word, uint(int(gl_GlobalInvocationID.x) == 0x7fffffff)); }
-
-/// A byte of a word of an int8 tensor, less the zero point: as the last bits of 2^23, which spares a conversion.
-float code_of(uint word, int byte, int zero_point) {
-  const uint u = (word ^ 0x80808080u) >> 8 * byte & 255u | 0x4b000000u;
-  return uintBitsToFloat(u) - float(8388608 + 128 + zero_point);
-}
-
-/// A texel of rgba16_float without alpha.
-vec3 half_rgb(uvec2 words) { return vec3(unpackHalf2x16(words.x), unpackHalf2x16(words.y).x); }
-/// Halves of values in [0, 65504], rounded to even. Mesa's packHalf2x16 takes five times as many instructions.
-uvec3 half_bits(vec3 c) {
-  const uvec3 bits = floatBitsToUint(c);
-  // Above 2^-14 the exponent changes its bias; below, 0.5 plus the value holds it in steps of 2^-24, as halves do.
-  const uvec3 normal = (bits - 0x38000000u + 0xfffu + (bits >> 13 & 1u)) >> 13;
-  const uvec3 small = floatBitsToUint(c + 0.5) - 0x3f000000u;
-  return mix(normal, small, lessThan(c, vec3(6.103515625e-5)));
-}
-PAIR half_pair(vec3 c) {
-  const uvec3 h = half_bits(c);
-  return pair(whole(h.r | h.g << 16), whole(h.b | 0x3c000000u));
-}
-
 /// Exposed and in the Karis domain. One factor does both; beyond kMaxColor, where exposed() stops, the result differs from
 /// karis(exposed(c)) by less than 2e-5.
 vec3 karis_of(vec3 c) {
   const float exposure = min(params.exposure, 1e30);
   return c * (exposure / (1.0 + exposure * largest(c)));
-}
-
-/// A texel of rgba8_snorm.
-vec4 snorm(ivec4 codes) { return vec4(max(codes, -127)) * (1.0 / 127.0); }
-uint snorm_word(vec4 v) {
-  const ivec4 codes = ivec4(floor(clamp(v, -1.0, 1.0) * 127.0 + 0.5)) & 255;
-  return whole(uint(codes.x | codes.y << 8 | codes.z << 16 | codes.w << 24));
 }
 
 float not_reset() { return params.reset != 0 ? 0.0 : 1.0; }

@@ -3,14 +3,9 @@
 // One invocation per texel of disocclusion (r8), a block of 4x4 render texels: the depth clip of the block's closest
 // texel, with the range of view depth in the block as tolerance. Source: nss.md section 2.4 c.
 #version 450
-#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform utextureBuffer depth;  // 4 texels a fetch
-layout(set = 0, binding = 1) uniform utextureBuffer motion;
-layout(set = 0, binding = 2) uniform utextureBuffer scatter;
-layout(set = 0, binding = 3, r8) writeonly uniform image2D disocclusion;
 #include "block.glsl"
 #include "scattered.glsl"
 
@@ -23,6 +18,5 @@ void main() {
   const Bilinear b = bilinear_at(uv - block_motion(block), kScattered);
   uint codes[4];
   fetch_scattered(b, codes);
-  const float mask = disoccluded(b, codes, z, view_z(block.farthest) - z);
-  imageStore(disocclusion, at, vec4(mask));
+  store_disocclusion(at, disoccluded(b, codes, z, view_z(block.farthest) - z));
 }

@@ -1,8 +1,7 @@
 // shaders/frame/nss/history.glsl -- filtered reads of the history in the post passes, between texels in the exposed
-// Karis domain. Expects the texel buffer `history`. Pixels side by side that move alike share most of their texels.
-#include "history_texel.glsl"
+// Karis domain. Expects the image `history`. Pixels side by side that move alike share most of their texels.
 
-vec3 past_texel(ivec2 at) { return karis_of(half_rgb(history_words(inside(at, kOutput)))); }
+vec3 past_texel(ivec2 at) { return karis_of(rgb_of(fetch_history(inside(at, kOutput)))); }
 
 /// Catmull-Rom from the cross of the twelve texels around a place without the four corners, the weights made to sum to
 /// 1: where between the two middle texels of an axis the middle tap lies, and the weights of the five taps.
@@ -36,19 +35,19 @@ vec3 combine(CatmullRom w, vec3 centre, vec3 left, vec3 right, vec3 up, vec3 dow
 
 /// The texels that the next function filters, as they lie in memory, [y][x]: fetched apart, so that many fetches are under
 /// way at once.
-void fetch_quad_catmull_rom(Bilinear b, out uvec2 words[5][5]) {
+void fetch_quad_catmull_rom(Bilinear b, out HALF4 raw[5][5]) {
   [[unroll]] for (int y = 0; y < 5; ++y)
     [[unroll]] for (int x = 0; x < 5; ++x)
-      if ((x != 0 && x != 4) || (y != 0 && y != 4)) words[y][x] = history_words(inside(b.base + ivec2(x, y) - 1, kOutput));
+      if ((x != 0 && x != 4) || (y != 0 && y != 4)) raw[y][x] = fetch_history(inside(b.base + ivec2(x, y) - 1, kOutput));
 }
 
 /// The history at b and at its neighbours one texel to the right and below, [y][x], in 0..1.
-void past_quad_catmull_rom(Bilinear b, uvec2 words[5][5], out vec3 past[2][2]) {
+void past_quad_catmull_rom(Bilinear b, HALF4 raw[5][5], out vec3 past[2][2]) {
   const CatmullRom w = catmull_rom(b.part);
   vec3 texels[5][5];
   [[unroll]] for (int y = 0; y < 5; ++y)
     [[unroll]] for (int x = 0; x < 5; ++x)
-      if ((x != 0 && x != 4) || (y != 0 && y != 4)) texels[y][x] = karis_of(half_rgb(words[y][x]));
+      if ((x != 0 && x != 4) || (y != 0 && y != 4)) texels[y][x] = karis_of(rgb_of(raw[y][x]));
   vec3 along[5][2], down[2][5];
   [[unroll]] for (int y = 0; y < 5; ++y)
     [[unroll]] for (int x = 0; x < 2; ++x) along[y][x] = mix(texels[y][x + 1], texels[y][x + 2], w.mid.x);
@@ -62,15 +61,15 @@ void past_quad_catmull_rom(Bilinear b, uvec2 words[5][5], out vec3 past[2][2]) {
 }
 
 /// As the two before, bilinear.
-void fetch_quad_linear(Bilinear b, out uvec2 words[3][3]) {
+void fetch_quad_linear(Bilinear b, out HALF4 raw[3][3]) {
   [[unroll]] for (int y = 0; y < 3; ++y)
-    [[unroll]] for (int x = 0; x < 3; ++x) words[y][x] = history_words(inside(b.base + ivec2(x, y), kOutput));
+    [[unroll]] for (int x = 0; x < 3; ++x) raw[y][x] = fetch_history(inside(b.base + ivec2(x, y), kOutput));
 }
-void past_quad_linear(Bilinear b, uvec2 words[3][3], out vec3 past[2][2]) {
+void past_quad_linear(Bilinear b, HALF4 raw[3][3], out vec3 past[2][2]) {
   vec3 along[3][2];
   [[unroll]] for (int y = 0; y < 3; ++y) {
     vec3 t[3];
-    [[unroll]] for (int x = 0; x < 3; ++x) t[x] = karis_of(half_rgb(words[y][x]));
+    [[unroll]] for (int x = 0; x < 3; ++x) t[x] = karis_of(rgb_of(raw[y][x]));
     [[unroll]] for (int x = 0; x < 2; ++x) along[y][x] = mix(t[x], t[x + 1], b.part.x);
   }
   [[unroll]] for (int y = 0; y < 2; ++y)

@@ -3,25 +3,15 @@
 // One invocation per 4x2 output pixels. For each of them: the samples of this frame that fall into its 4x4 kernel,
 // weighted by the tensors k0 to k3 (a column each, 4 channels a texel); the history, blended in as the network says; a
 // sample that lies on the pixel itself, blended in. All of it in exposed colours of the Karis domain, where the notes take
-// linear ones: a display shows means of it. What is shown goes into the history, with the exposure removed; the host's output
-// is a copy of that. `moving` comes from pre_v0_1.comp.
+// linear ones: a display shows means of it. What is shown goes into the history, with the exposure removed; the output
+// shows that. `moving` comes from pre_v0_1.comp.
 // Source: nss.md sections 3.1 to 3.3; tools/train/nss_passes.py computes the same.
 #version 450
-#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 #define KERNEL 4
 #include "taps.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform utextureBuffer color;     // two texels a fetch
-layout(set = 0, binding = 1) uniform utextureBuffer moving;    // two texels a fetch
-layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back, a texel a fetch
-layout(set = 0, binding = 4) uniform utextureBuffer temporal;  // four texels a fetch; so the kernel
-layout(set = 0, binding = 5) uniform utextureBuffer k0;
-layout(set = 0, binding = 6) uniform utextureBuffer k1;
-layout(set = 0, binding = 7) uniform utextureBuffer k2;
-layout(set = 0, binding = 8) uniform utextureBuffer k3;
-layout(set = 0, binding = 10, std430) writeonly buffer NewHistory { PAIR texels[]; } new_history;
 #include "history.glsl"
 #include "sample.glsl"
 #include "quad.glsl"
@@ -49,7 +39,7 @@ vec3 shown_color(Filtered sum, vec3 parameters, vec3 past, vec2 before) {
   return least(karis_inverse(mixed) * (1.0 / params.exposure), vec3(kMaxColor));
 }
 
-void show(ivec2 pixel, vec3 color) { new_history.texels[pixel.y * HISTORY_PITCH + pixel.x] = half_pair(color); }
+void show(ivec2 pixel, vec3 color) { store_history(pixel, half4(color)); }
 
 void add_sample(inout Filtered sum, int ix, int iy, float weight, vec3 c) {
   sum.weight += weight;
@@ -78,13 +68,14 @@ void main() {
   const ivec2 m = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
   // What lies anywhere is fetched first.
-  const uvec2 halves = texelFetch(moving, (m.y * MOVING_PITCH + m.x) / 2).rg;
+  HALF2 halves[2];
+  fetch2_moving(ivec2(m.x >> 1, m.y), halves);
   vec2 before[2];
   Bilinear place[2];
-  uvec2 past_words[2][5][5];
+  HALF4 past_words[2][5][5];
   [[unroll]] for (int q = 0; q < 2; ++q) {
     const vec2 uv = (2.0 * vec2(m + ivec2(q, 0)) + 0.5) / vec2(kOutput);
-    before[q] = uv - long_motion(unpackHalf2x16(halves[q]), kOutput, 0.1);
+    before[q] = uv - long_motion(xy_of(halves[q]), kOutput, 0.1);
     place[q] = bilinear_at(before[q], kOutput);
     fetch_quad_catmull_rom(place[q], past_words[q]);
   }
@@ -92,11 +83,11 @@ void main() {
   vec3 samples[kTaps + 1][kTaps + 2];
   two_quads_samples(quad, m, samples);
   uint words[5][3][4];  // of k0 to k3 and of temporal
-  fetch_four_columns(k0, m, kPadded, words[0]);
-  fetch_four_columns(k1, m, kPadded, words[1]);
-  fetch_four_columns(k2, m, kPadded, words[2]);
-  fetch_four_columns(k3, m, kPadded, words[3]);
-  fetch_four_columns(temporal, m, kPadded, words[4]);
+  FETCH_FOUR_COLUMNS(words4_k0, m, kPadded, words[0]);
+  FETCH_FOUR_COLUMNS(words4_k1, m, kPadded, words[1]);
+  FETCH_FOUR_COLUMNS(words4_k2, m, kPadded, words[2]);
+  FETCH_FOUR_COLUMNS(words4_k3, m, kPadded, words[3]);
+  FETCH_FOUR_COLUMNS(words4_temporal, m, kPadded, words[4]);
   [[unroll]] for (int q = 0; q < 2; ++q) {
     vec3 past[2][2], parameters[2][2];
     past_quad_catmull_rom(place[q], past_words[q], past);
@@ -126,15 +117,15 @@ void main() {
   }
 }
 #else
-/// A tensor of the network in 0..1; `b` in its padded picture.
-vec4 values_at(utextureBuffer tensor, Bilinear b) {
-  vec4 sum = vec4(0.0);
-  [[unroll]] for (int i = 0; i < 4; ++i) {
-    const ivec2 at = bilinear_texel(b, i, kPadded);
-    sum += bilinear_weight(b.part, i) * values_of(texelFetch(tensor, at.y * (kPadded.x / 4) + at.x / 4)[at.x % 4]);
+/// A tensor of the network in 0..1, bilinear; `b` in its padded picture.
+#define VALUES_AT(word_of_tensor, b, sum)                                                          \
+  {                                                                                                \
+    sum = vec4(0.0);                                                                               \
+    [[unroll]] for (int i = 0; i < 4; ++i) {                                                       \
+      const ivec2 at = bilinear_texel(b, i, kPadded);                                              \
+      sum += bilinear_weight(b.part, i) * values_of(word_of_tensor(at.y * kPadded.x + at.x));      \
+    }                                                                                              \
   }
-  return sum;
-}
 
 void pixel_at(ivec2 at) {
   const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
@@ -142,24 +133,28 @@ void pixel_at(ivec2 at) {
   const Axis x = axis_at(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH);
   const Axis y = axis_at(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT);
   Filtered sum = Filtered(0.0, vec3(0.0), vec3(0.0), false);
-  const vec4 columns[KERNEL] = vec4[KERNEL](values_at(k0, b), values_at(k1, b), values_at(k2, b), values_at(k3, b));
+  vec4 columns[KERNEL], parameters;
+  VALUES_AT(word_k0, b, columns[0]);
+  VALUES_AT(word_k1, b, columns[1]);
+  VALUES_AT(word_k2, b, columns[2]);
+  VALUES_AT(word_k3, b, columns[3]);
+  VALUES_AT(word_temporal, b, parameters);
   [[unroll]] for (int ix = 0; ix < KERNEL; ++ix) {
     [[unroll]] for (int iy = 0; iy < KERNEL; ++iy) {
       if ((x.cells >> ix & 1u) == 0u || (y.cells >> iy & 1u) == 0u) continue;
       const ivec2 texel = inside(ivec2(texel_at(x, ix), texel_at(y, iy)), kRender);
-      add_sample(sum, ix, iy, max(columns[ix][iy], 1e-7), sample_at(texel));
+      add_sample(sum, ix, iy, max(columns[ix][iy], 1e-7), sample_of(fetch_color(texel)));
     }
   }
   if (sum.weight == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum.first = sample_at(texel);
+    sum.first = sample_of(fetch_color(texel));
     sum.weight = 1.0;
   }
   const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
-  const uint halves = texelFetch(moving, (texel.y * MOVING_PITCH + texel.x) / 2)[texel.x % 2];
-  const vec2 before = uv - long_motion(unpackHalf2x16(halves), kOutput, 0.1);
-  show(at, shown_color(sum, values_at(temporal, b).xyz, past_catmull_rom(before), before));
+  const vec2 before = uv - long_motion(xy_of(fetch_moving(texel)), kOutput, 0.1);
+  show(at, shown_color(sum, parameters.xyz, past_catmull_rom(before), before));
 }
 
 void main() {

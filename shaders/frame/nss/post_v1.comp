@@ -6,21 +6,13 @@
 // ones: a display shows means of it.
 // KERNEL 6 and TAPS 9 (HIGH) or 4 and 4 (MID, LOW); KPN_SHIFT: render texel >> shift is the texel of the kernel tensor;
 // CATMULL_ROM 1 or 0 chooses the filter of the history; WEIGHT_FLOOR is the least weight.
-// `dilated` comes from pre_v1.comp. What is shown goes into the history, linear and with the exposure removed; the host's
-// output is a copy of that.
+// `dilated` comes from pre_v1.comp. What is shown goes into the history, with the exposure removed; the output shows that.
 // Source: nss.md sections 3.1, 3.2, 3.4; tools/train/nss_passes.py computes the same.
 #version 450
-#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 #include "taps.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform utextureBuffer color;     // two texels a fetch
-layout(set = 0, binding = 1) uniform utextureBuffer dilated;   // the motion of two texels a fetch
-layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back
-layout(set = 0, binding = 4) uniform utextureBuffer temporal;  // 4 texels a fetch
-layout(set = 0, binding = 5) uniform utextureBuffer kernel;    // 16 channels a fetch
-layout(set = 0, binding = 7, std430) writeonly buffer NewHistory { PAIR texels[]; } new_history;  // and the output
 #include "history.glsl"
 #include "sample.glsl"
 #include "quad.glsl"
@@ -45,7 +37,7 @@ void cell_words(ivec2 cell, out uint words[kWords]) {
   const int first = (cell.y * KERNEL_WIDTH + cell.x) * kWords;
   uint fetched[4 * kFetches];
   [[unroll]] for (int i = 0; i < kFetches; ++i) {
-    const uvec4 four = texelFetch(kernel, first / 4 + i);
+    const uvec4 four = words4_kernel(first / 4 + i);
     [[unroll]] for (int k = 0; k < 4; ++k) fetched[4 * i + k] = four[k];
   }
 #if KERNEL_CHANNELS % 16 == 0
@@ -87,7 +79,7 @@ vec3 shown_color(Filtered sum, vec3 parameters, vec3 past, vec2 before) {
   return least(karis_inverse(mixed) * (1.0 / params.exposure), vec3(kMaxColor));
 }
 
-void show(ivec2 pixel, vec3 color) { new_history.texels[pixel.y * HISTORY_PITCH + pixel.x] = half_pair(color); }
+void show(ivec2 pixel, vec3 color) { store_history(pixel, half4(color)); }
 
 /// In 0..1, of a texel of the tensor.
 vec3 parameters_of(uint word) {
@@ -96,7 +88,7 @@ vec3 parameters_of(uint word) {
 }
 vec3 parameter_texel(ivec2 at) {
   at = inside(at, kPadded);
-  return parameters_of(texelFetch(temporal, at.y * (kPadded.x / 4) + at.x / 4)[at.x % 4]);
+  return parameters_of(word_temporal(at.y * kPadded.x + at.x));
 }
 
 #if IS_DOUBLE
@@ -118,7 +110,7 @@ const int kColumnWords = (KERNEL % 4 + KERNEL + 3) / 4;  // that hold a column o
 void parameters_of_quads(ivec2 m, out vec3 parameters[2][2][2]) {
 #if SIDE == 1
   uint words[3][4];
-  fetch_four_columns(temporal, m, kPadded, words);
+  FETCH_FOUR_COLUMNS(words4_temporal, m, kPadded, words);
   vec3 along[3][2][2];
   [[unroll]] for (int y = 0; y < 3; ++y)
     [[unroll]] for (int q = 0; q < 2; ++q)
@@ -149,13 +141,14 @@ void main() {
   const ivec2 m = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
   // What lies anywhere is fetched first.
-  const uvec2 moving = texelFetch(dilated, (m.y * DILATED_PITCH + m.x) / 2).rg;
+  HALF2 moving[2];
+  fetch2_dilated(ivec2(m.x >> 1, m.y), moving);
   vec2 before[2];
   Bilinear place[2];
-  uvec2 past_words[2][PAST_SIDE][PAST_SIDE];
+  HALF4 past_words[2][PAST_SIDE][PAST_SIDE];
   [[unroll]] for (int q = 0; q < 2; ++q) {
     const vec2 uv = (2.0 * vec2(m + ivec2(q, 0)) + 0.5) / vec2(kOutput);
-    before[q] = uv - long_motion(unpackHalf2x16(moving[q]), kOutput, 0.1);
+    before[q] = uv - long_motion(xy_of(moving[q]), kOutput, 0.1);
     place[q] = bilinear_at(before[q], kOutput);
     FETCH_PAST(place[q], past_words[q]);
   }
@@ -209,9 +202,8 @@ void main() {
 void add_texel(inout Filtered sum, int ix, int iy, ivec2 texel) {
   const ivec2 at = inside(texel, kRender);
   const ivec2 cell = min(at >> KPN_SHIFT, ivec2(KERNEL_WIDTH, KERNEL_HEIGHT) - 1);
-  const int byte = iy + KERNEL * ix, word_at = (cell.y * KERNEL_WIDTH + cell.x) * kWords + byte / 4;
-  const uint word = texelFetch(kernel, word_at / 4)[word_at % 4];
-  add_sample(sum, ix, iy, weight_of(word, byte), sample_at(at));
+  const int byte = iy + KERNEL * ix, word = (cell.y * KERNEL_WIDTH + cell.x) * kWords + byte / 4;
+  add_sample(sum, ix, iy, weight_of(word_kernel(word), byte), sample_of(fetch_color(at)));
 }
 
 #if OUTPUT_WIDTH < 2 * COLOR_WIDTH || OUTPUT_HEIGHT < 2 * COLOR_HEIGHT
@@ -268,13 +260,12 @@ void pixel_at(ivec2 at) {
   if (sum.weight == 0.0) {
     const ivec2 texel = ivec2(closest_texel(at.x, params.jitter.x, COLOR_WIDTH, OUTPUT_WIDTH),
                               closest_texel(at.y, params.jitter.y, COLOR_HEIGHT, OUTPUT_HEIGHT));
-    sum.first = sample_at(texel);
+    sum.first = sample_of(fetch_color(texel));
     sum.second = sum.first * sum.first;
     sum.weight = 1.0;
   }
   const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
-  const uint moving = texelFetch(dilated, (texel.y * DILATED_PITCH + texel.x) / 2)[texel.x % 2];
-  const vec2 before = uv - long_motion(unpackHalf2x16(moving), kOutput, 0.1);
+  const vec2 before = uv - long_motion(xy_of(fetch_dilated(texel)), kOutput, 0.1);
 #if CATMULL_ROM
   const vec3 past = past_catmull_rom(before);
 #else

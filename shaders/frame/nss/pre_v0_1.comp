@@ -9,22 +9,9 @@
 // Source: nss.md section 2.3; tools/train/nss_passes.py computes the same. The depth of the frame before is kept as it
 // was dilated, instead of being gathered through the offsets of the frame before.
 #version 450
-#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform utextureBuffer color;     // two texels a fetch
-layout(set = 0, binding = 1) uniform utextureBuffer depth;     // four texels a fetch
-layout(set = 0, binding = 2) uniform utextureBuffer motion;    // a texel a fetch
-layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back
-layout(set = 0, binding = 4) uniform utextureBuffer luma;      // one frame back, two texels a fetch
-layout(set = 0, binding = 5) uniform utextureBuffer dilated;   // one frame back
-layout(set = 0, binding = 6) uniform itextureBuffer feedback;  // of one frame back
-// In pairs of words: two texels of the tensor are three, of the images one; of the luma they are a word.
-layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { PAIR words[]; } network_input;
-layout(set = 0, binding = 8, std430) writeonly buffer NewLuma { uint words[]; } new_luma;
-layout(set = 0, binding = 9, std430) writeonly buffer NewDilated { PAIR depths[]; } new_dilated;
-layout(set = 0, binding = 10, std430) writeonly buffer Moving { PAIR halves[]; } moving;
 #include "closest.glsl"
 #include "warped.glsl"
 
@@ -47,27 +34,22 @@ Closest closest_of(ivec2 base, float rows[3][kReach], int x) {
 
 /// What is read of the frame before.
 struct Before {
-  Bilinear history, depth, network;
-  uvec2 past[4];
+  Bilinear depth, network;
+  SAMPLED_HALF4 past;
   float depths[4];
   ivec4 feedback[4];
   vec2 luma[4];
 };
 
 void fetch_before(vec2 uv, out Before b) {
-  b.history = bilinear_at(uv, kOutput);
   b.depth = bilinear_at(uv - params.previous_jitter / vec2(kRender), kRender);
   b.network = bilinear_at(uv * vec2(kRender) / vec2(kPadded), kPadded);
-  fetch_history(b.history, b.past);
-  [[unroll]] for (int i = 0; i < 4; ++i) {
-    const ivec2 at = bilinear_texel(b.depth, i, kRender);
-    b.depths[i] = uintBitsToFloat(texelFetch(dilated, at.y * DILATED_PITCH + at.x).r);
-  }
+  b.past = sample_history(uv);
+  [[unroll]] for (int i = 0; i < 4; ++i) b.depths[i] = fetch_dilated(bilinear_texel(b.depth, i, kRender));
   [[unroll]] for (int i = 0; i < 4; ++i) {
     const ivec2 at = bilinear_texel(b.network, i, kPadded);
-    b.feedback[i] = texelFetch(feedback, at.y * kPadded.x + at.x);
-    const uint codes = texelFetch(luma, (at.y * LUMA_PITCH + at.x) / 2).r >> 16 * (at.x & 1);
-    b.luma[i] = vec2(codes & 255u, codes >> 8 & 255u) * (1.0 / 255.0);
+    b.feedback[i] = codes_feedback(at.y * kPadded.x + at.x);
+    b.luma[i] = fetch_luma(at);
   }
 }
 
@@ -94,14 +76,14 @@ uint pack4(float a, float b, float c, float d) {
 /// What a texel leaves.
 struct Texel {
   uint words[3];
-  uint luma;
+  vec2 luma;  // change, luma
 };
 
 Texel network_texel(vec3 now, vec2 moved, float z, Before b) {
   float hidden = params.reset == 0 ? disoccluded(b, z) : 0.0;
   // A learned constant of the source: fewer false alarms where little moves.
   if (length(moved * vec2(kRender)) <= 0.5) hidden *= 0.725223958;
-  const vec3 past = warped(b.history, b.past) * not_reset();
+  const vec3 past = warped(b.past) * not_reset();
   vec4 fed = vec4(0.0);
   vec2 kept = vec2(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i) {
@@ -120,8 +102,7 @@ Texel network_texel(vec3 now, vec2 moved, float z, Before b) {
   texel.words[0] = pack4(past.r, past.g, past.b, now.r);
   texel.words[1] = pack4(now.g, now.b, hidden, fed.x);
   texel.words[2] = pack4(fed.y, fed.z, fed.w, level);
-  const uvec2 codes = uvec2(floor(clamp(vec2(level, y), 0.0, 1.0) * 255.0 + 0.5));
-  texel.luma = codes.x | codes.y << 8;
+  texel.luma = vec2(level, y);
   return texel;
 }
 
@@ -131,24 +112,25 @@ void main() {
   // In the padding the two lie in reverse order, or, at an odd border, the last one twice.
   const ivec2 from = mirrored(first, kRender), to = mirrored(first + ivec2(1, 0), kRender);
   const ivec2 base = min(from, to);
-  const uvec4 colors = texelFetch(color, (base.y * RAW_COLOR_PITCH + base.x) / 2);
+  HALF4 colors[2];
+  fetch2_color(ivec2(base.x >> 1, base.y), colors);
   float rows[3][kReach];
   [[unroll]] for (int y = 0; y < 3; ++y) depth_row(ivec2(base.x, clamp(base.y + y - 1, 0, COLOR_HEIGHT - 1)), rows[y]);
   Closest closest[2];
-  uint raw[2];
+  HALF2 raw[2];
   vec2 moved[2];
   Before before[2];
   [[unroll]] for (int x = 0; x < 2; ++x) {
     closest[x] = closest_of(base, rows, x);
-    raw[x] = texelFetch(motion, closest[x].at.y * RAW_MOTION_PITCH + closest[x].at.x).r;
+    raw[x] = fetch_motion(closest[x].at);
   }
   [[unroll]] for (int x = 0; x < 2; ++x) {
-    moved[x] = long_motion(unpackHalf2x16(raw[x]), kRender, 0.1);
+    moved[x] = long_motion(xy_of(raw[x]), kRender, 0.1);
     fetch_before((vec2(base + ivec2(x, 0)) + 0.5) / vec2(kRender) - moved[x], before[x]);
   }
   Texel texels[2];
   [[unroll]] for (int x = 0; x < 2; ++x)
-    texels[x] = network_texel(karis_of(finite_color(half_rgb(x == 0 ? colors.xy : colors.zw))), moved[x],
+    texels[x] = network_texel(karis_of(finite_color(rgb_of(colors[x]))), moved[x],
                               view_z(closest[x].depth), before[x]);
   const bool turned = from.x > to.x;
   const Texel last = from.x == to.x ? texels[0] : texels[1];
@@ -158,11 +140,9 @@ void main() {
     words[3 + i] = turned ? texels[0].words[i] : last.words[i];
   }
   const int two = (first.y * kPadded.x + first.x) / 2;
-  [[unroll]] for (int i = 0; i < 3; ++i) network_input.words[two * 3 + i] = pair(words[2 * i], words[2 * i + 1]);
-  new_luma.words[(first.y * LUMA_PITCH + first.x) / 2] =
-      whole(turned ? last.luma | texels[0].luma << 16 : texels[0].luma | last.luma << 16);
+  [[unroll]] for (int i = 0; i < 3; ++i) store_words2_input(two * 3 + i, words[2 * i], words[2 * i + 1]);
+  store2_luma(first, turned ? last.luma : texels[0].luma, turned ? texels[0].luma : last.luma);
   if (any(notEqual(first, base))) return;
-  new_dilated.depths[(first.y * DILATED_PITCH + first.x) / 2] =
-      pair(floatBitsToUint(closest[0].depth), floatBitsToUint(closest[1].depth));
-  moving.halves[(first.y * MOVING_PITCH + first.x) / 2] = pair(raw[0], raw[1]);
+  store2_dilated(first, closest[0].depth, closest[1].depth);
+  store2_moving(first, raw[0], raw[1]);
 }

@@ -10,43 +10,21 @@
 // SIDE 2 (MID, LOW): it is 2x2 of them, each reprojected for itself; disocclusion comes from disocclusion.comp.
 // Source: nss.md sections 1.1, 2.4 d; tools/train/nss_passes.py computes the same.
 #version 450
-#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 #include "instability.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform utextureBuffer color;     // a texel a fetch
-layout(set = 0, binding = 1) uniform utextureBuffer depth;     // four texels a fetch
-layout(set = 0, binding = 2) uniform utextureBuffer motion;    // a texel a fetch
-layout(set = 0, binding = 3) uniform utextureBuffer history;   // one frame back
-layout(set = 0, binding = 4) uniform itextureBuffer state;     // one frame back
-layout(set = 0, binding = 5) uniform itextureBuffer feedback;  // the tensor "temporal" of one frame back
-#if SIDE == 1
-// In pairs of words: two texels of the tensor are three, of the images one.
-layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { PAIR words[]; } network_input;
-layout(set = 0, binding = 8, std430) writeonly buffer NewState { PAIR words[]; } new_state;
-#else
-layout(set = 0, binding = 7, std430) writeonly buffer InputTensor { uint words[]; } network_input;
-layout(set = 0, binding = 8, std430) writeonly buffer NewState { uint words[]; } new_state;
-#endif
-layout(set = 0, binding = 9, std430) writeonly buffer Dilated { PAIR words[]; } dilated;
 #include "warped.glsl"
 #include "closest.glsl"
 #if SIDE == 1
-layout(set = 0, binding = 6) uniform utextureBuffer scatter;
 #include "scattered.glsl"
-#else
-layout(set = 0, binding = 6, r8) readonly uniform image2D disocclusion;
 #endif
 
 const ivec2 kPadded = ivec2(INPUT_WIDTH, INPUT_HEIGHT);
 const ivec2 kNetwork = (kRender + SIDE - 1) / SIDE;
 
-uvec2 color_words(ivec2 at) {
-  at = inside(at, kRender);
-  return texelFetch(color, at.y * RAW_COLOR_PITCH + at.x).rg;
-}
-vec3 exposed_color(uvec2 words) { return exposed(finite_color(half_rgb(words)), params.exposure); }
+HALF4 color_texel(ivec2 at) { return fetch_color(inside(at, kRender)); }
+vec3 exposed_color(HALF4 texel) { return exposed(finite_color(rgb_of(texel)), params.exposure); }
 
 uint code(float value) {
   const int q = int(floor(value * (1.0 / float(INPUT_SCALE)) + 0.5)) + INPUT_ZERO_POINT;
@@ -63,10 +41,12 @@ struct Texel {
   uint state;
 };
 
-/// What is read of feedback and state around a place of the network's picture: they have the same texels.
+/// What is read of feedback and state around a place of the network's picture: they have the same texels. The feedback is the
+/// tensor "temporal" of one frame back.
 struct Kept {
   Bilinear at;
-  ivec4 feedback[4], state[4];
+  ivec4 feedback[4];
+  SNORM4 state[4];
 };
 
 /// before: uv of the frame before, in the network's picture without padding.
@@ -74,8 +54,8 @@ void fetch_kept(vec2 before, out Kept kept) {
   kept.at = bilinear_at(before * vec2(kNetwork) / vec2(kPadded), kPadded);
   [[unroll]] for (int i = 0; i < 4; ++i) {
     const ivec2 at = bilinear_texel(kept.at, i, kPadded);
-    kept.feedback[i] = texelFetch(feedback, at.y * kPadded.x + at.x);
-    kept.state[i] = texelFetch(state, at.y * STATE_PITCH + at.x);
+    kept.feedback[i] = codes_temporal(at.y * kPadded.x + at.x);
+    kept.state[i] = fetch_state(at);
   }
 }
 
@@ -87,7 +67,7 @@ Texel network_texel(vec3 past, vec2 moved, Kept kept, bool hidden, vec3 now, vec
   [[unroll]] for (int i = 0; i < 4; ++i) {
     const float weight = bilinear_weight(kept.at.part, i);
     fed += weight * vec4(kept.feedback[i] - TEMPORAL_ZERO_POINT);
-    old_state += weight * snorm(kept.state[i]);
+    old_state += weight * snorm_of(kept.state[i]);
   }
   fed *= hidden ? 0.0 : not_reset() * float(TEMPORAL_SCALE);
   Texel texel;
@@ -103,15 +83,14 @@ Texel network_texel(vec3 past, vec2 moved, Kept kept, bool hidden, vec3 now, vec
 }
 
 /// raw: as the host gave it.
-vec2 texel_motion(ivec2 at, out uint raw) {
-  raw = texelFetch(motion, at.y * RAW_MOTION_PITCH + at.x).r;
-  return long_motion(unpackHalf2x16(raw), kRender, 0.1);
+vec2 texel_motion(ivec2 at, out HALF2 raw) {
+  raw = fetch_motion(at);
+  return long_motion(xy_of(raw), kRender, 0.1);
 }
 
-void store_dilated(ivec2 first, uint raw[2][2]) {
+void keep_motion(ivec2 first, HALF2 raw[2][2]) {
   [[unroll]] for (int y = 0; y < 2; ++y)
-    if (first.y + y < COLOR_HEIGHT)
-      dilated.words[((first.y + y) * DILATED_PITCH + first.x) / 2] = pair(raw[y][0], raw[y][1]);
+    if (first.y + y < COLOR_HEIGHT) store2_dilated(first + ivec2(0, y), raw[y][0], raw[y][1]);
 }
 
 #if SIDE == 1
@@ -127,16 +106,16 @@ void main() {
   const vec2 place = -clamp(params.jitter, -0.5, 0.5);
   const ivec2 shift = ivec2(floor(place));
   const vec2 part = place - vec2(shift);
-  uvec2 words[5][5];
+  HALF4 words[5][5];
   [[unroll]] for (int y = 0; y < 5; ++y)
     [[unroll]] for (int x = 0; x < 5; ++x)
-      if ((x != 0 && x != 4) || (y != 0 && y != 4)) words[y][x] = color_words(base + shift + ivec2(x, y) - 1);
+      if ((x != 0 && x != 4) || (y != 0 && y != 4)) words[y][x] = color_texel(base + shift + ivec2(x, y) - 1);
   Closest closest[2][2];
   closest_in_tile(base, closest);
-  uint raw[2][2];
+  HALF2 raw[2][2];
   vec2 moved[2][2];
-  Bilinear past_at[2][2], scattered_at[2][2];
-  uvec2 past_words[2][2][4];
+  SAMPLED_HALF4 past[2][2];
+  Bilinear scattered_at[2][2];
   uint codes[2][2][4];
   Kept kept[2][2];
   [[unroll]] for (int y = 0; y < 2; ++y)
@@ -144,8 +123,7 @@ void main() {
   [[unroll]] for (int y = 0; y < 2; ++y) {
     [[unroll]] for (int x = 0; x < 2; ++x) {
       const vec2 before = (vec2(base + ivec2(x, y)) + 0.5) / vec2(kRender) - moved[y][x];
-      past_at[y][x] = bilinear_at(before, kOutput);
-      fetch_history(past_at[y][x], past_words[y][x]);
+      past[y][x] = sample_history(before);
       scattered_at[y][x] = bilinear_at(before, kScattered);
       fetch_scattered(scattered_at[y][x], codes[y][x]);
       fetch_kept(before, kept[y][x]);
@@ -180,11 +158,11 @@ void main() {
                                at.y < kRender.y - 1 ? color_distance(own, work[y + 2][x + 1]) : 0.0,
                                at.x < kRender.x - 1 ? color_distance(own, work[y + 1][x + 2]) : 0.0,
                                at.x > 0 ? color_distance(own, work[y + 1][x]) : 0.0);
-      texels[y][x] = network_texel(warped(past_at[y][x], past_words[y][x]), moved[y][x], kept[y][x], hidden,
+      texels[y][x] = network_texel(warped(past[y][x]), moved[y][x], kept[y][x], hidden,
                                    now[y + 1][x + 1], own, around);
     }
   }
-  if (all(equal(first, base))) store_dilated(first, raw);
+  if (all(equal(first, base))) keep_motion(first, raw);
 #if COLOR_WIDTH % 2 == 1
   if (from.x == to.x) texels[0][1] = texels[0][0], texels[1][1] = texels[1][0];
 #endif
@@ -199,11 +177,10 @@ void main() {
     const uvec3 l = uvec3(left.words[0], left.words[1], left.words[2]);
     const uvec3 r = uvec3(right.words[0], right.words[1], right.words[2]);
     const uvec3 a = turned ? r : l, b = turned ? l : r;
-    network_input.words[two * 3] = pair(a.x, a.y);
-    network_input.words[two * 3 + 1] = pair(a.z, b.x);
-    network_input.words[two * 3 + 2] = pair(b.y, b.z);
-    new_state.words[(line * STATE_PITCH + first.x) / 2] =
-        pair(turned ? right.state : left.state, turned ? left.state : right.state);
+    store_words2_input(two * 3, a.x, a.y);
+    store_words2_input(two * 3 + 1, a.z, b.x);
+    store_words2_input(two * 3 + 2, b.y, b.z);
+    store2_state(ivec2(first.x, line), turned ? right.state : left.state, turned ? left.state : right.state);
   }
 }
 #else
@@ -213,16 +190,7 @@ vec3 current(ivec2 at) {
   const Bilinear b = bilinear_at(uv - clamp(params.jitter, -0.5, 0.5) / vec2(kRender), kRender);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * exposed_color(color_words(b.base + ivec2(i & 1, i >> 1)));
-  return sum;
-}
-
-float disocclusion_at(vec2 uv) {
-  const ivec2 size = ivec2(DISOCCLUSION_WIDTH, DISOCCLUSION_HEIGHT);
-  const Bilinear b = bilinear_at(uv, size);
-  float sum = 0.0;
-  [[unroll]] for (int i = 0; i < 4; ++i)
-    sum += bilinear_weight(b.part, i) * imageLoad(disocclusion, bilinear_texel(b, i, size)).r;
+    sum += bilinear_weight(b.part, i) * exposed_color(color_texel(b.base + ivec2(i & 1, i >> 1)));
   return sum;
 }
 
@@ -245,21 +213,18 @@ void main() {
   vec3 past = vec3(0.0);
   vec2 moved = vec2(0.0);  // of the closest lane
   float nearest = 0.0;
-  uint raw[2][2];
+  HALF2 raw[2][2];
   [[unroll]] for (int y = 0; y < 2; ++y) {
     [[unroll]] for (int x = 0; x < 2; ++x) {
       const ivec2 lane = inside(2 * at + ivec2(x, y), kRender);
       const vec2 lane_moved = texel_motion(closest[y][x].at, raw[y][x]);
-      const Bilinear b = bilinear_at((vec2(lane) + 0.5) / vec2(kRender) - lane_moved, kOutput);
-      uvec2 words[4];
-      fetch_history(b, words);
-      past += 0.25 * warped(b, words);
+      past += 0.25 * warped(sample_history((vec2(lane) + 0.5) / vec2(kRender) - lane_moved));
       const bool leads = (x == 0 && y == 0) || away * closest[y][x].depth < away * nearest;
       nearest = leads ? closest[y][x].depth : nearest;
       moved = leads ? lane_moved : moved;
     }
   }
-  if (all(lessThan(padded, kNetwork))) store_dilated(2 * at, raw);
+  if (all(lessThan(padded, kNetwork))) keep_motion(2 * at, raw);
   const vec3 now = current(at), work = work_color(now);
   const vec4 around = vec4(color_distance(work, work_color(current(at + ivec2(0, -1)))),
                            color_distance(work, work_color(current(at + ivec2(0, 1)))),
@@ -267,9 +232,9 @@ void main() {
                            color_distance(work, work_color(current(at + ivec2(-1, 0)))));
   Kept kept;
   fetch_kept(uv - moved, kept);
-  const Texel texel = network_texel(past, moved, kept, disocclusion_at(uv) > 0.01, now, work, around);
+  const Texel texel = network_texel(past, moved, kept, sample_disocclusion(uv) > 0.01, now, work, around);
   const int word = (padded.y * kPadded.x + padded.x) * 3;
-  [[unroll]] for (int i = 0; i < 3; ++i) network_input.words[word + i] = texel.words[i];
-  new_state.words[padded.y * STATE_PITCH + padded.x] = texel.state;
+  [[unroll]] for (int i = 0; i < 3; ++i) store_word_input(word + i, texel.words[i]);
+  store_state(padded, texel.state);
 }
 #endif

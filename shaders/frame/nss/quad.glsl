@@ -3,7 +3,7 @@
 // Along one axis, with `shift` as in axis_at, sample l lies in output cell 2 * l + shift. Of the two pixels, one has
 // its samples in the even cells of its kernel, the other in the odd ones; called so, each has samples in fixed cells:
 // the k-th in cell 2 * k + odd. With t = shift + KERNEL / 2 - 1 - odd, it is pixel t & 1, and its first sample is that
-// of render texel m - (t >> 1). Expects the texel buffer `color`, two texels a fetch, and `sample_of`, a sample of its words.
+// of render texel m - (t >> 1). Expects the image `color` and `sample_of`, a sample of its texel.
 #define IS_DOUBLE (OUTPUT_WIDTH == 2 * COLOR_WIDTH && OUTPUT_HEIGHT == 2 * COLOR_HEIGHT)
 
 const int kTaps = KERNEL / 2;  // per axis
@@ -32,11 +32,13 @@ vec3 of_pixel(vec3 values[2][2], ivec2 pixel) {
 /// The samples of the eight kernels of two quads, at m and to its right, m.x even: [y][x].
 void two_quads_samples(Quad quad, ivec2 m, out vec3 samples[kTaps + 1][kTaps + 2]) {
   [[unroll]] for (int y = 0; y <= kTaps; ++y) {
-    const int at = clamp(quad.first.y + y, 0, COLOR_HEIGHT - 1) * (RAW_COLOR_PITCH / 2) + m.x / 2;
-    const uvec4 left = texelFetch(color, max(at - 1, 0)), middle = texelFetch(color, at);
-    const uvec4 right = texelFetch(color, min(at + 1, COLOR_HEIGHT * RAW_COLOR_PITCH / 2 - 1));
+    const int row = clamp(quad.first.y + y, 0, COLOR_HEIGHT - 1), two = m.x >> 1;
+    HALF4 left[2], middle[2], right[2];
+    fetch2_color(ivec2(max(two - 1, 0), row), left);
+    fetch2_color(ivec2(two, row), middle);
+    fetch2_color(ivec2(min(two + 1, (COLOR_WIDTH - 1) / 2), row), right);
     // Beyond the border the last one counts again.
-    uvec2 words[5] = uvec2[5](left.zw, middle.xy, middle.zw, right.xy, right.zw);
+    HALF4 words[5] = HALF4[5](left[1], middle[0], middle[1], right[0], right[1]);
     words[0] = m.x == 0 ? words[1] : words[0];
     [[unroll]] for (int x = 2; x < 5; ++x) words[x] = m.x + x - 1 < COLOR_WIDTH ? words[x] : words[x - 1];
     vec3 five[5];
@@ -61,18 +63,19 @@ vec3 two_quads_sample(Quad quad, vec3 samples[kTaps + 1][kTaps + 2], int ox, int
 /// Columns m.x - 1 to m.x + 2 and rows m.y - 1 to m.y + 1 of a tensor of four channels as large as the render picture, padded
 /// to `size`, m.x even: in two fetches a row, [y][x]. The pixels of two quads lie a quarter of a texel around the middles of
 /// two of them, see quarter().
-void fetch_four_columns(utextureBuffer tensor, ivec2 m, ivec2 size, out uint words[3][4]) {
-  const int first = (m.x - 1) >> 2;
-  const bool late = (m.x & 2) == 0;
-  [[unroll]] for (int y = 0; y < 3; ++y) {
-    const int line = clamp(m.y + y - 1, 0, size.y - 1) * (size.x / 4);
-    const uvec4 a = texelFetch(tensor, line + max(first, 0));
-    const uvec4 b = texelFetch(tensor, line + min(first + 1, size.x / 4 - 1));
-    words[y] = uint[4](late ? a.w : a.y, late ? b.x : a.z, late ? b.y : a.w, late ? b.z : b.x);
-    words[y][0] = m.x == 0 ? words[y][1] : words[y][0];
-    words[y][3] = m.x + 2 < size.x ? words[y][3] : words[y][2];
+#define FETCH_FOUR_COLUMNS(words4_of_tensor, m, size, words)                                                    \
+  {                                                                                                             \
+    const int first = (m.x - 1) >> 2;                                                                           \
+    const bool late = (m.x & 2) == 0;                                                                           \
+    [[unroll]] for (int y = 0; y < 3; ++y) {                                                                    \
+      const int line = clamp(m.y + y - 1, 0, size.y - 1) * (size.x / 4);                                        \
+      const uvec4 a = words4_of_tensor(line + max(first, 0));                                                   \
+      const uvec4 b = words4_of_tensor(line + min(first + 1, size.x / 4 - 1));                                  \
+      words[y] = uint[4](late ? a.w : a.y, late ? b.x : a.z, late ? b.y : a.w, late ? b.z : b.x);               \
+      words[y][0] = m.x == 0 ? words[y][1] : words[y][0];                                                       \
+      words[y][3] = m.x + 2 < size.x ? words[y][3] : words[y][2];                                               \
+    }                                                                                                           \
   }
-}
 
 /// The share of the second of the two texels between which the first or second pixel of a quad lies.
 float quarter(int pixel) { return pixel == 0 ? 0.75 : 0.25; }

@@ -6,13 +6,9 @@
 // The block's middle moves, not the texel that was chosen: so what stands still stays in its block.
 // Source: nss.md section 2.4 b.
 #version 450
-#extension GL_EXT_control_flow_attributes : require
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform utextureBuffer depth;   // BLOCK texels a fetch
-layout(set = 0, binding = 1) uniform utextureBuffer motion;
-layout(set = 0, binding = 2, std430) buffer Scatter { uint codes[]; } scatter;
 #include "block.glsl"
 
 const ivec2 kScatter = ivec2(SCATTER_WIDTH, SCATTER_HEIGHT);
@@ -28,6 +24,6 @@ void main() {
     const ivec2 to = b.base + ivec2(i & 1, i >> 1);
     if (bilinear_weight(b.part, i) <= 0.1 || any(lessThan(to, ivec2(0))) || any(greaterThanEqual(to, kScatter)))
       continue;
-    atomicMax(scatter.codes[to.y * SCATTER_PITCH + to.x], code);
+    max_scatter(to, code);
   }
 }

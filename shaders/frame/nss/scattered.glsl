@@ -1,4 +1,4 @@
-// shaders/frame/nss/scattered.glsl -- the depth clip of NSS v1, against the scattered depth. Expects the texel buffer
+// shaders/frame/nss/scattered.glsl -- the depth clip of NSS v1, against the scattered depth. Expects the image
 // `scatter` as scatter.comp leaves it. Source: nss.md section 2.2.
 
 const ivec2 kScattered = ivec2(SCATTER_WIDTH, SCATTER_HEIGHT);
@@ -6,8 +6,7 @@ const ivec2 kScattered = ivec2(SCATTER_WIDTH, SCATTER_HEIGHT);
 /// The four codes around.
 void fetch_scattered(Bilinear b, out uint codes[4]) {
   [[unroll]] for (int i = 0; i < 4; ++i) {
-    const ivec2 at = bilinear_texel(b, i, kScattered);
-    codes[i] = texelFetch(scatter, at.y * SCATTER_PITCH + at.x).r;
+    codes[i] = fetch_scatter(bilinear_texel(b, i, kScattered));
   }
 }
 

@@ -7,14 +7,9 @@
 // Exactness: R and the choice of pixels are exact, the mix is float32. One invocation per pixel of output.
 // Source: SRPO (ECCV 2022); tools/train/srpo.py fuse() computes the same picture.
 #version 450
-#extension GL_EXT_samplerless_texture_functions : require
-#extension GL_EXT_shader_8bit_storage : require
-#extension GL_EXT_shader_explicit_arithmetic_types_int8 : require
+#include "access.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1, std430) readonly buffer OffsetsTensor { int8_t data[]; } offsets;
-layout(set = 0, binding = 2, rgba8) writeonly uniform image2D shown;
 
 const int kScale = OUTPUT_WIDTH / COLOR_WIDTH;
 // 3x3 Gaussian, sigma 1.5, sum 1: centre, edge, corner.
@@ -45,7 +40,7 @@ vec3 lanczos(ivec2 at) {
     const int y = clamp(y0 + j, 0, COLOR_HEIGHT - 1);
     vec3 row = vec3(0.0);
     for (int i = 0; i < 6; ++i)
-      row += lanczos_weight(i, p.x) * texelFetch(color, ivec2(clamp(x0 + i, 0, COLOR_WIDTH - 1), y), 0).rgb;
+      row += lanczos_weight(i, p.x) * fetch_color(ivec2(clamp(x0 + i, 0, COLOR_WIDTH - 1), y)).rgb;
     sum += lanczos_weight(j, p.y) * row;
   }
   return sum;
@@ -53,7 +48,7 @@ vec3 lanczos(ivec2 at) {
 
 ivec2 rounded_offset(ivec2 at) {
   const int base = (at.y * OFFSETS_WIDTH + at.x) * OFFSETS_CHANNELS;
-  const ivec2 q = ivec2(int(offsets.data[base]), int(offsets.data[base + 1])) - OFFSETS_ZERO_POINT;
+  const ivec2 q = ivec2(element_offsets(base), element_offsets(base + 1)) - OFFSETS_ZERO_POINT;
   const vec2 offset = vec2(q) * float(OFFSETS_SCALE);
   return ivec2(sign(offset) * floor(abs(offset) + 0.5));
 }
@@ -77,8 +72,8 @@ void main() {
   vec3 result = vec3(0.0);
   if (moved > 0) {
     const ivec2 from = clamp(at / kScale + rounded_offset(at), ivec2(0), ivec2(COLOR_WIDTH, COLOR_HEIGHT) - 1);
-    result = texelFetch(color, from, 0).rgb;
+    result = fetch_color(from).rgb;
   }
   if (moved < 9) result = mix(lanczos(at), result, alpha);
-  imageStore(shown, at, vec4(clamp(result, 0.0, 1.0), 1.0));
+  store_output(at, vec4(clamp(result, 0.0, 1.0), 1.0));
 }

@@ -1,8 +1,9 @@
-// compiler/driver/frame.h -- frame.json: the passes around a network, and the images between them.
+// compiler/plan/frame.h -- frame.json: the passes around a network, and the images between them.
 #pragma once
 
 #include <array>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -33,38 +34,43 @@ struct FrameImage {
   Category category = Category::kImageInternal;
   ImageFormat format = ImageFormat::kNone;
   FrameSize size;
-  bool is_linear = false;      ///< its texels lie in a buffer
   uint32_t history_depth = 0;  ///< 2 or more for history images
+  std::string shows;  ///< of an output: the image whose texels of this frame it gets
 };
 
 struct FrameTensor {
   std::string name;
   Quantization quantization;
   std::optional<FrameSize> size;  ///< of a graph input whose height and width follow the frame's
+  uint32_t history_depth = 0;     ///< 2 or more where results of earlier frames are kept
 };
 
+/// What a pass reads, writes or updates, by the name that its accessors have: fetch_NAME, store_NAME.
 struct FrameBinding {
-  uint32_t binding = 0;
-  std::string name;  ///< of an image or a tensor
-  bool is_image = false;
-  bool reads = false, writes = false;
-  bool loads = false;  ///< read as a storage image: on CPU drivers half the cost of texelFetch
+  std::string name;    ///< of an image or a tensor
+  std::string handle;  ///< in the shader; the name itself where nothing else is said
+  bool reads = false, writes = false;  ///< both: updated, by atomic maxima
   uint32_t frames_back = 0;
-  ImageFormat texels = ImageFormat::kNone;  ///< a buffer read as a texel buffer of this format
 };
 
-/// One pass; `is_graph` stands for the network's place. A transfer has a kernel of transfers, its
-/// ends as bindings, and neither shader nor grid.
+/// One pass of shaders, or a network's place.
 struct FramePass {
   std::string name;
-  bool is_graph = false;
-  std::string_view transfer;
+  std::string graph;  ///< model file, relative to frame.json; empty for a pass of shaders
+  std::map<std::string, std::string> tensors;  ///< of a graph: names in the frame of its inputs and outputs
   std::string shader;  ///< path, relative to frame.json
   std::string over;    ///< image or tensor whose pixels are the invocations; empty with `over_size`
   std::optional<FrameSize> over_size;
   uint32_t workgroup[2] = {8, 8};
   std::vector<std::pair<std::string, std::string>> defines;  ///< name and value for the shader
+  std::vector<std::string> clears;  ///< images that are filled with zeros before it
   std::vector<FrameBinding> bindings;
+};
+
+/// What is recorded at once.
+struct FrameProgram {
+  std::string name;
+  std::vector<FramePass> passes;
 };
 
 /// As View, with the resource by name.
@@ -80,10 +86,16 @@ struct Frame {
   std::vector<FrameView> views;
   std::vector<FrameImage> images;
   std::vector<FrameTensor> tensors;
-  std::vector<FramePass> passes;
+  std::vector<FrameProgram> programs;  ///< at least one
 };
 
-/// Reads untrusted JSON of schema "shale-frame/1"; the form is in compiler/driver/README.md.
+/// The model files of a frame's graphs, each once, in the order of the passes.
+std::vector<std::string> graph_files(const Frame& frame);
+
+/// The passes of shaders of all programs, in order.
+std::vector<const FramePass*> shader_passes(const Frame& frame);
+
+/// Reads untrusted JSON of schema "shale-frame/2"; the form is in compiler/driver/README.md.
 /// Errors: kBadInput naming the field.
 Result<Frame> parse_frame(const std::string& json);
 
@@ -99,8 +111,8 @@ struct FrameSizes {
 Result<std::pair<FrameExtent, FrameExtent>> frame_sizes(const Frame& frame,
                                                         const FrameSizes& wanted);
 
-/// Bytes that the passes of a frame read and write at these sizes: images and tensors, each binding
-/// once and whole. `graph` has the tensors' shapes; null if there is no network.
+/// Bytes that the passes of a frame's first program read and write at these sizes: images and tensors,
+/// each binding once and whole. `graph` has the tensors' shapes; null if there is no network.
 double pass_bytes(const Frame& frame, FrameExtent render, FrameExtent output, const Graph* graph);
 
 /// Text of a shader by its path in frame.json.

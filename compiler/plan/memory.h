@@ -1,4 +1,4 @@
-// compiler/memory/planner.h -- live intervals of intermediate tensors to offsets in one arena.
+// compiler/plan/memory.h -- live intervals of intermediate tensors to offsets in one arena.
 #pragma once
 
 #include <cstdint>

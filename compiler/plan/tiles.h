@@ -1,4 +1,4 @@
-// compiler/tile/tile.h -- tiles of an output picture and the input that they need: pure functions.
+// compiler/plan/tiles.h -- tiles of an output picture and the input that they need: pure functions.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-#include "compiler/tile/tile.h"
+#include "compiler/plan/tiles.h"
 
 #include <gtest/gtest.h>
 

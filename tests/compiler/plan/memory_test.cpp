@@ -1,4 +1,4 @@
-#include "compiler/memory/planner.h"
+#include "compiler/plan/memory.h"
 
 #include <gtest/gtest.h>
 

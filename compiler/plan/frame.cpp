@@ -1,4 +1,4 @@
-#include "compiler/driver/frame.h"
+#include "compiler/plan/frame.h"
 
 #include <algorithm>
 #include <cmath>
@@ -189,8 +189,18 @@ Result<FrameView> parse_view(const Fields& fields) {
   return view;
 }
 
+/// What files of schema "shale-frame/1" had and nobody has to say any more.
+Result<void> refuse_old_fields(const Fields& fields) {
+  for (const char* old : {"bindings", "copy", "clear", "linear", "texels"})
+    if (fields.has(old))
+      return bad_input(fields.where(), "\"{}\" is of schema shale-frame/1: see compiler/driver/README.md",
+                       old);
+  return {};
+}
+
 Result<FrameImage> parse_image(const Fields& fields) {
   FrameImage image;
+  SHALE_TRY_VOID(refuse_old_fields(fields));
   SHALE_TRY(image.name, identifier(fields));
   SHALE_TRY(const std::string role, fields.text("role"));
   if (role == "input")
@@ -210,12 +220,10 @@ Result<FrameImage> parse_image(const Fields& fields) {
     return bad_input(fields.where(), "format \"{}\" is no image format", format);
   image.format = *known;
   SHALE_TRY(image.size, parse_size(fields));
-  if (fields.has("linear")) {
-    if (!fields.json()["linear"].is_boolean())
-      return bad_input(fields.where(), "\"linear\" must be true or false");
-    image.is_linear = fields.json()["linear"].get<bool>();
-    if (image.is_linear && (role == "input" || role == "output"))
-      return bad_input(fields.where(), "the host's images are not linear: copy them");
+  if (fields.has("shows")) {
+    SHALE_TRY(image.shows, fields.text("shows"));
+    if (image.category != Category::kImageOutput)
+      return bad_input(fields.where(), "\"shows\" is for outputs");
   }
   if (image.category == Category::kImageHistory) {
     SHALE_TRY(const int64_t depth, fields.integer("depth", 2, kMaxHistory, 2));
@@ -233,70 +241,90 @@ Result<FrameTensor> parse_tensor(const Fields& fields) {
   if (fields.has("size")) {
     SHALE_TRY(tensor.size, parse_size(fields));
   }
+  if (fields.has("depth")) {
+    SHALE_TRY(const int64_t depth, fields.integer("depth", 2, kMaxHistory));
+    tensor.history_depth = static_cast<uint32_t>(depth);
+  }
   return tensor;
 }
 
+/// A name, or for what is read {"of": name, "frames_back": N, "as": its name in the shader}.
 Result<FrameBinding> parse_binding(const Fields& fields) {
   FrameBinding binding;
-  SHALE_TRY(const int64_t number, fields.integer("binding", 0, 63));
-  binding.binding = static_cast<uint32_t>(number);
-  binding.is_image = fields.has("image");
-  SHALE_TRY(binding.name, fields.text(binding.is_image ? "image" : "tensor"));
-  SHALE_TRY(const std::string access, fields.text("access"));
-  if (access != "read" && access != "load" && access != "write" && access != "read_write")
-    return bad_input(fields.where(), "access \"{}\" is none of read, load, write, read_write",
-                     access);
-  binding.reads = access != "write";
-  binding.loads = access == "load";
-  binding.writes = access == "write" || access == "read_write";
-  if (binding.loads && !binding.is_image)
-    return bad_input(fields.where(), "access \"load\" is for images, a tensor is read");
-  if (fields.has("texels")) {
-    SHALE_TRY(const std::string format, fields.text("texels"));
-    binding.texels = image_format_from_name(format).value_or(ImageFormat::kNone);
-    const auto formats = {ImageFormat::kRgba8Sint, ImageFormat::kR8Sint, ImageFormat::kR32Uint,
-                          ImageFormat::kRg32Uint, ImageFormat::kRgba32Uint};
-    if (binding.loads || binding.writes ||
-        std::find(formats.begin(), formats.end(), binding.texels) == formats.end())
-      return bad_input(fields.where(),
-                       "\"texels\" is for tensors and linear images that are read, as rgba8_sint, "
-                       "r8_sint, r32_uint, rg32_uint or rgba32_uint");
+  const Json& json = fields.json();
+  if (json.is_string()) {
+    binding.name = binding.handle = json.get<std::string>();
+  } else {
+    SHALE_TRY(binding.name, fields.text("of"));
+    SHALE_TRY(const int64_t back, fields.integer("frames_back", 0, kMaxHistory - 1, 0));
+    binding.frames_back = static_cast<uint32_t>(back);
+    binding.handle = binding.name;
+    if (fields.has("as")) {
+      SHALE_TRY(binding.handle, fields.text("as"));
+    }
   }
-  SHALE_TRY(const int64_t back, fields.integer("frames_back", 0, kMaxHistory - 1, 0));
-  binding.frames_back = static_cast<uint32_t>(back);
-  if (binding.writes && back != 0)
-    return bad_input(fields.where(), "only this frame's image can be written");
+  if (!is_identifier(binding.handle))
+    return bad_input(fields.where(), "the name \"{}\" is no identifier", binding.handle);
   return binding;
 }
 
-Result<FramePass> parse_pass(const Fields& fields) {
-  FramePass pass;
-  pass.is_graph = fields.has("graph");
-  if (pass.is_graph) {
-    pass.name = "graph";
-    return pass;
-  }
-  SHALE_TRY(pass.name, identifier(fields));
-  if (fields.has("copy") || fields.has("clear")) {
-    const auto add = [&](const char* key, bool writes) -> Result<void> {
-      FrameBinding end;
-      SHALE_TRY(end.name, fields.text(key));
-      end.binding = static_cast<uint32_t>(pass.bindings.size());
-      end.is_image = true;
-      end.reads = !writes;
-      end.writes = writes;
-      pass.bindings.push_back(std::move(end));
-      return {};
-    };
-    pass.transfer = fields.has("copy") ? kCopyKernel : kClearKernel;
-    if (!fields.has("copy")) {
-      SHALE_TRY_VOID(add("clear", true));
-      return pass;
+/// The bindings of a pass; no two of one kind of access under one name.
+Result<void> parse_bindings(const Fields& fields, FramePass& pass) {
+  const auto add = [&](const char* key, bool reads, bool writes) -> Result<void> {
+    SHALE_TRY(const std::vector<Fields> entries, fields.list(key));
+    for (const Fields& entry : entries) {
+      SHALE_TRY(FrameBinding binding, parse_binding(entry));
+      binding.reads = reads;
+      binding.writes = writes;
+      if (writes && (binding.frames_back != 0 || !entry.json().is_string()))
+        return bad_input(entry.where(), "must be a name: only this frame's can be written");
+      for (const FrameBinding& other : pass.bindings)
+        if (other.handle == binding.handle && other.writes == writes)
+          return bad_input(entry.where(), "the name \"{}\" is used twice", binding.handle);
+      pass.bindings.push_back(std::move(binding));
     }
-    SHALE_TRY_VOID(add("copy", false));
-    SHALE_TRY_VOID(add("to", true));
-    return pass;
+    return {};
+  };
+  SHALE_TRY_VOID(add("reads", true, false));
+  SHALE_TRY_VOID(add("writes", false, true));
+  return add("updates", true, true);
+}
+
+Result<std::vector<std::string>> parse_names(const Fields& fields, const char* key) {
+  std::vector<std::string> names;
+  SHALE_TRY(const std::vector<Fields> entries, fields.list(key));
+  for (const Fields& entry : entries) {
+    if (!entry.json().is_string()) return bad_input(entry.where(), "must be a name");
+    names.push_back(entry.json().get<std::string>());
   }
+  return names;
+}
+
+Result<FramePass> parse_graph_pass(const Fields& fields) {
+  FramePass pass;
+  pass.name = "graph";
+  if (fields.has("name")) {
+    SHALE_TRY(pass.name, identifier(fields));
+  }
+  SHALE_TRY(pass.graph, fields.text("graph"));
+  if (!fields.has("tensors")) return pass;
+  const Json& names = fields.json()["tensors"];
+  if (!names.is_object() || names.size() > kMaxEntries)
+    return bad_input(fields.where(), "\"tensors\" must be at most {} names by the graph's names",
+                     kMaxEntries);
+  for (const auto& [from, to] : names.items()) {
+    if (!to.is_string() || !is_identifier(to.get<std::string>()))
+      return bad_input(fields.where(), "the name of \"{}\" is no identifier", from);
+    pass.tensors[from] = to.get<std::string>();
+  }
+  return pass;
+}
+
+Result<FramePass> parse_pass(const Fields& fields) {
+  if (fields.has("graph")) return parse_graph_pass(fields);
+  FramePass pass;
+  SHALE_TRY_VOID(refuse_old_fields(fields));
+  SHALE_TRY(pass.name, identifier(fields));
   SHALE_TRY(pass.shader, fields.text("shader"));
   if (fields.has("over") && !fields.json()["over"].is_string()) {
     SHALE_TRY(pass.over_size, parse_size(fields, "over"));
@@ -329,15 +357,20 @@ Result<FramePass> parse_pass(const Fields& fields) {
                                           : fmt::format("{:.9e}", value.get<double>()));
     }
   }
-  SHALE_TRY(const std::vector<Fields> bindings, fields.list("bindings"));
-  for (const Fields& binding : bindings) {
-    SHALE_TRY(FrameBinding parsed, parse_binding(binding));
-    for (const FrameBinding& other : pass.bindings)
-      if (other.binding == parsed.binding)
-        return bad_input(binding.where(), "binding {} is used twice", parsed.binding);
-    pass.bindings.push_back(std::move(parsed));
-  }
+  SHALE_TRY(pass.clears, parse_names(fields, "clears"));
+  SHALE_TRY_VOID(parse_bindings(fields, pass));
   return pass;
+}
+
+Result<FrameProgram> parse_program(const Fields& fields, std::string name) {
+  FrameProgram program{std::move(name), {}};
+  SHALE_TRY(const std::vector<Fields> passes, fields.list("passes"));
+  for (const Fields& entry : passes) {
+    SHALE_TRY(FramePass pass, parse_pass(entry));
+    program.passes.push_back(std::move(pass));
+  }
+  if (program.passes.empty()) return bad_input(fields.where() + ".passes", "there is no pass");
+  return program;
 }
 
 }  // namespace
@@ -378,8 +411,11 @@ Result<Frame> parse_frame(const std::string& text) {
   if (json.is_discarded() || !json.is_object()) return bad_input("", "is not valid JSON");
   const Fields root(json, "frame");
   SHALE_TRY(const std::string schema, root.text("schema"));
-  if (schema != "shale-frame/1")
-    return bad_input("frame", "schema \"{}\" is unknown, expected \"shale-frame/1\"", schema);
+  if (schema == "shale-frame/1")
+    return bad_input("frame", "schema \"shale-frame/1\" is no longer read: \"bindings\", copies and "
+                     "linear images became \"reads\" and \"writes\", see compiler/driver/README.md");
+  if (schema != "shale-frame/2")
+    return bad_input("frame", "schema \"{}\" is unknown, expected \"shale-frame/2\"", schema);
   Frame frame;
   SHALE_TRY(frame.render, parse_extent(root, "render"));
   SHALE_TRY(frame.output, parse_extent(root, "output"));
@@ -415,39 +451,66 @@ Result<Frame> parse_frame(const std::string& text) {
     SHALE_TRY(FrameTensor tensor, parse_tensor(fields));
     frame.tensors.push_back(std::move(tensor));
   }
-  SHALE_TRY(const std::vector<Fields> passes, root.list("passes"));
-  for (const Fields& fields : passes) {
-    SHALE_TRY(FramePass pass, parse_pass(fields));
-    frame.passes.push_back(std::move(pass));
+  if (root.has("passes") == root.has("programs"))
+    return bad_input("frame", "either \"passes\" or \"programs\" must be there");
+  if (root.has("passes")) {
+    SHALE_TRY(FrameProgram program, parse_program(root, "frame"));
+    frame.programs.push_back(std::move(program));
   }
-  if (std::count_if(frame.passes.begin(), frame.passes.end(),
-                    [](const FramePass& pass) { return pass.is_graph; }) > 1)
-    return bad_input("frame.passes", "only one entry may be {{\"graph\": ...}}");
-  if (frame.passes.empty()) return bad_input("frame.passes", "there is no pass");
+  SHALE_TRY(const std::vector<Fields> programs, root.list("programs"));
+  for (const Fields& fields : programs) {
+    SHALE_TRY(std::string name, identifier(fields));
+    for (const FrameProgram& other : frame.programs)
+      if (other.name == name)
+        return bad_input(fields.where(), "the name \"{}\" is used twice", name);
+    SHALE_TRY(FrameProgram program, parse_program(fields, std::move(name)));
+    frame.programs.push_back(std::move(program));
+  }
+  if (frame.programs.empty()) return bad_input("frame.programs", "there is no program");
   return frame;
 }
 
+std::vector<std::string> graph_files(const Frame& frame) {
+  std::vector<std::string> files;
+  for (const FrameProgram& program : frame.programs)
+    for (const FramePass& pass : program.passes)
+      if (!pass.graph.empty() && std::find(files.begin(), files.end(), pass.graph) == files.end())
+        files.push_back(pass.graph);
+  return files;
+}
+
+std::vector<const FramePass*> shader_passes(const Frame& frame) {
+  std::vector<const FramePass*> passes;
+  for (const FrameProgram& program : frame.programs)
+    for (const FramePass& pass : program.passes)
+      if (pass.graph.empty()) passes.push_back(&pass);
+  return passes;
+}
+
 double pass_bytes(const Frame& frame, FrameExtent render, FrameExtent output, const Graph* graph) {
-  const auto size_of = [&](const FrameBinding& binding) -> double {
-    if (!binding.is_image) {
-      const std::optional<ValueId> id = graph ? graph->find_value(binding.name) : std::nullopt;
-      if (!id) return 0;
-      const TensorType& type = graph->value(*id).type;
-      return static_cast<double>(element_count(type.shape).value_or(0)) *
-             dtype_info(type.dtype).host_bytes;
-    }
+  const auto size_of = [&](const std::string& name) -> double {
     for (const FrameImage& image : frame.images) {
-      if (image.name != binding.name) continue;
+      if (image.name != name) continue;
       const FrameExtent extent = image.size(render, output);
       return static_cast<double>(extent.width) * extent.height *
              image_format_info(image.format).texel_bytes;
     }
-    return 0;
+    const std::optional<ValueId> id = graph ? graph->find_value(name) : std::nullopt;
+    if (!id) return 0;
+    const TensorType& type = graph->value(*id).type;
+    return static_cast<double>(element_count(type.shape).value_or(0)) *
+           dtype_info(type.dtype).host_bytes;
   };
   double bytes = 0;
-  for (const FramePass& pass : frame.passes)
-    for (const FrameBinding& binding : pass.bindings)
-      bytes += size_of(binding) * (int{binding.reads} + int{binding.writes});
+  for (const FramePass& pass : frame.programs[0].passes) {
+    for (const std::string& name : pass.clears) bytes += size_of(name);
+    for (const FrameBinding& binding : pass.bindings) {
+      bytes += size_of(binding.name) * (int{binding.reads} + int{binding.writes});
+      if (!binding.writes) continue;
+      for (const FrameImage& image : frame.images)
+        if (image.shows == binding.name) bytes += size_of(image.name);
+    }
+  }
   return bytes;
 }
 

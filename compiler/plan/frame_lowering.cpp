@@ -1,0 +1,469 @@
+#include "compiler/plan/frame_lowering.h"
+
+#include <algorithm>
+#include <cctype>
+#include <set>
+
+#include "compiler/plan/accessors.h"
+
+namespace shale {
+namespace {
+
+constexpr const char* kAccessorFile = "generated_accessors.glsl";
+
+std::string pass_label(const FramePass& pass) { return "pass \"" + pass.name + "\""; }
+
+Result<uint32_t> find_resource(const Variant& variant, const std::string& name,
+                               const std::string& where) {
+  for (uint32_t i = 0; i < variant.resources.size(); ++i) {
+    const Resource& resource = variant.resources[i];
+    if (resource.name == name && resource.category != Category::kWeights &&
+        resource.category != Category::kIntermediate)
+      return i;
+  }
+  return bad_input(where, "there is no image, graph input or output \"{}\"", name);
+}
+
+// --- what there is
+
+Result<void> add_images(Plan& plan, const LoweringOptions& options) {
+  std::set<std::string> names;
+  for (const Resource& resource : plan.variant.resources) names.insert(resource.name);
+  for (const FrameImage& image : options.frame.images) {
+    if (!names.insert(image.name).second)
+      return bad_input("frame.images", "the name \"{}\" is used twice", image.name);
+    Resource resource;
+    resource.name = image.name;
+    resource.category = image.category;
+    resource.format = image.format;
+    const FrameExtent extent = image.size(options.render, options.output);
+    resource.height = extent.height;
+    resource.width = extent.width;
+    resource.history_depth = image.history_depth;
+    if (resource.height > kMaxImageExtent || resource.width > kMaxImageExtent)
+      return bad_input("frame.images",
+                       "image \"{}\" would have {}x{} pixels, expected at most {} a side",
+                       image.name, resource.width, resource.height, kMaxImageExtent);
+    plan.variant.resources.push_back(std::move(resource));
+  }
+  return {};
+}
+
+void describe_tensors(Plan& plan, const Frame& frame) {
+  for (Resource& resource : plan.variant.resources)
+    for (const FrameTensor& tensor : frame.tensors)
+      if (tensor.name == resource.name) {
+        resource.quantization = tensor.quantization;
+        resource.history_depth = tensor.history_depth;
+      }
+}
+
+Result<void> add_views(Plan& plan, const Frame& frame) {
+  for (const FrameView& from : frame.views) {
+    View view = from.view;
+    SHALE_TRY(view.resource,
+              find_resource(plan.variant, from.name, "view \"" + from.view.title + "\""));
+    plan.variant.views.push_back(std::move(view));
+  }
+  return {};
+}
+
+// --- what passes use
+
+/// Sizes and quantization of every image, input and output, under their upper-case names; the declaration of the
+/// parameters; the pass's own.
+Defines pass_defines(const Variant& variant, const FramePass& pass) {
+  Defines defines;
+  std::string members;
+  for (const Param& param : variant.params) {
+    const std::string type =
+        param.components == 1
+            ? (param.is_integer ? "int" : "float")
+            : fmt::format("{}vec{}", param.is_integer ? "i" : "", param.components);
+    members += fmt::format(" layout(offset = {}) {} {};", param.offset_bytes, type, param.name);
+  }
+  if (!members.empty())
+    defines.emplace_back(
+        "SHALE_PARAMS",
+        fmt::format("layout(push_constant, std430) uniform Params {{{} }} params", members));
+  for (const Resource& resource : variant.resources) {
+    if (resource.category == Category::kWeights || resource.category == Category::kIntermediate)
+      continue;
+    std::string name;
+    for (const char c : resource.name)
+      name += std::isalnum(static_cast<unsigned char>(c)) != 0
+                  ? static_cast<char>(std::toupper(static_cast<unsigned char>(c)))
+                  : '_';
+    if (is_image(resource.category)) {
+      defines.emplace_back(name + "_WIDTH", std::to_string(resource.width));
+      defines.emplace_back(name + "_HEIGHT", std::to_string(resource.height));
+      continue;
+    }
+    if (resource.shape.size() != 4) continue;
+    defines.emplace_back(name + "_HEIGHT", std::to_string(resource.shape[1]));
+    defines.emplace_back(name + "_WIDTH", std::to_string(resource.shape[2]));
+    defines.emplace_back(name + "_CHANNELS", std::to_string(resource.shape[3]));
+    if (!resource.quantization) continue;
+    defines.emplace_back(name + "_SCALE", fmt::format("{:.9e}", resource.quantization->scale));
+    defines.emplace_back(name + "_ZERO_POINT",
+                         fmt::format("({})", resource.quantization->zero_point));
+  }
+  defines.emplace_back("LOCAL_X", std::to_string(pass.workgroup[0]));
+  defines.emplace_back("LOCAL_Y", std::to_string(pass.workgroup[1]));
+  defines.insert(defines.end(), pass.defines.begin(), pass.defines.end());
+  return defines;
+}
+
+/// A pass as its shader uses what it binds.
+struct UsedPass {
+  const FramePass* pass = nullptr;
+  std::vector<std::vector<Verb>> verbs;  ///< of each binding
+  ModuleSource source;
+};
+
+/// Files beside the shader; the accessors where they are asked for.
+IncludeLoader includes_of(const FramePass& pass, const ShaderLoader& load, std::string accessors) {
+  return [load, accessors = std::move(accessors),
+          folder = pass.shader.substr(0, pass.shader.rfind('/') + 1)](const std::string& name) {
+    return name == kAccessorFile ? Result<std::string>(accessors) : load(folder + name);
+  };
+}
+
+Result<UsedPass> used_pass(const Variant& variant, const FramePass& pass,
+                           const LoweringOptions& options, bool is_linear) {
+  UsedPass used;
+  used.pass = &pass;
+  ModuleSource& source = used.source;
+  SHALE_TRY(source.glsl, options.load_shader(pass.shader));
+  source.where = pass.shader;
+  source.defines = pass_defines(variant, pass);
+  source.defines.emplace_back("SHALE_LINEAR", is_linear ? "1" : "0");
+  source.load = includes_of(pass, options.load_shader, "");
+  SHALE_TRY(const std::string text,
+            preprocess_glsl(source.glsl, source.defines, source.where, source.load));
+  // Names of everything in the frame: what a shader uses and the pass does not bind is found, too.
+  std::vector<std::string> handles;
+  for (const FrameBinding& binding : pass.bindings) handles.push_back(binding.handle);
+  for (const Resource& resource : variant.resources)
+    if (std::find(handles.begin(), handles.end(), resource.name) == handles.end())
+      handles.push_back(resource.name);
+  used.verbs.resize(pass.bindings.size());
+  for (const Use& use : uses_in(text, handles)) {
+    const bool updates = use.verb == Verb::kMax;
+    const auto binding =
+        std::find_if(pass.bindings.begin(), pass.bindings.end(), [&](const FrameBinding& each) {
+          return each.handle == use.handle && each.writes == verb_info(use.verb).writes &&
+                 (each.reads && each.writes) == updates;
+        });
+    if (binding == pass.bindings.end())
+      return bad_input(pass_label(pass), "{} has {}_{}, but \"{}\" is not among what the pass {}",
+                       pass.shader, verb_info(use.verb).name, use.handle, use.handle,
+                       updates ? "updates" : (verb_info(use.verb).writes ? "writes" : "reads"));
+    used.verbs[static_cast<size_t>(binding - pass.bindings.begin())].push_back(use.verb);
+  }
+  for (size_t i = 0; i < pass.bindings.size(); ++i)
+    if (used.verbs[i].empty())
+      return bad_input(pass_label(pass), "{} \"{}\", for which {} has no accessor",
+                       pass.bindings[i].writes ? "writes" : "reads", pass.bindings[i].handle,
+                       pass.shader);
+  return used;
+}
+
+/// A binding against what it names.
+Result<void> check_binding(const FramePass& pass, const FrameBinding& from, const Resource& resource) {
+  const std::string where = pass_label(pass);
+  if (from.writes &&
+      (resource.category == Category::kImageInput || resource.category == Category::kOutput))
+    return bad_input(where, "writes \"{}\", which is an input of the pass", from.name);
+  if (from.reads && resource.category == Category::kImageOutput)
+    return bad_input(where, "reads \"{}\", which is an output of the frame", from.name);
+  if (from.frames_back >= std::max(resource.history_depth, 1u))
+    return bad_input(where, "reads \"{}\" {} frames back, its history is {} deep", from.name,
+                     from.frames_back, resource.history_depth);
+  return {};
+}
+
+// --- where texels lie
+
+/// Of each image the places where passes reach it: its own resource, or a linear copy of a host's image.
+struct Places {
+  bool is_linear = false;                   ///< SHALE_LINEAR: buffers are preferred
+  std::vector<uint32_t> accessed;           ///< resource by resource
+  std::vector<AccessForm> forms;            ///< resource by resource
+  std::vector<std::pair<uint32_t, uint32_t>> copies;  ///< from a host's image to its linear copy
+};
+
+bool fits_buffer(const Resource& image, const DeviceProfile& profile) {
+  const uint64_t bytes = uint64_t{linear_pitch(image.format, image.width)} * image.height *
+                         image_format_info(image.format).texel_bytes;
+  return bytes <= profile.caps.max_storage_range_bytes && bytes / 4 <= profile.caps.max_texel_elements;
+}
+
+/// Texels lie in buffers where kernels run on a CPU and the largest image fits one.
+bool prefers_buffers(const Variant& variant, const DeviceProfile& profile) {
+  return profile.literal_weights &&
+         std::all_of(variant.resources.begin(), variant.resources.end(), [&](const Resource& resource) {
+           return !is_image(resource.category) || fits_buffer(resource, profile);
+         });
+}
+
+Places choose_places(Plan& plan, const std::vector<UsedPass>& passes, bool is_linear) {
+  Variant& variant = plan.variant;
+  const size_t count = variant.resources.size();
+  // A buffer serves an image if every use of it has a form for buffers, and some pass reads it.
+  std::vector<bool> in_buffer(count, is_linear), is_read(count, false);
+  for (const UsedPass& used : passes)
+    for (size_t b = 0; b < used.pass->bindings.size(); ++b)
+      for (size_t i = 0; i < count; ++i) {
+        if (variant.resources[i].name != used.pass->bindings[b].name) continue;
+        is_read[i] = is_read[i] || used.pass->bindings[b].reads;
+        for (const Verb verb : used.verbs[b])
+          if (is_image(variant.resources[i].category) &&
+              !has_buffer_form(variant.resources[i].format, verb))
+            in_buffer[i] = false;
+      }
+  Places places;
+  places.is_linear = is_linear;
+  for (uint32_t i = 0; i < count; ++i) {
+    places.accessed.push_back(i);
+    const Resource& image = variant.resources[i];
+    const bool linear =
+        in_buffer[i] && (!is_image(image.category) ||
+                         (is_read[i] && image.category != Category::kImageOutput));
+    places.forms.push_back(linear ? AccessForm::kBuffer : AccessForm::kImage);
+    if (!linear || !is_image(image.category)) continue;
+    const uint64_t bytes = uint64_t{linear_pitch(image.format, image.width)} * image.height *
+                           image_format_info(image.format).texel_bytes;
+    if (image.category != Category::kImageInput) {
+      variant.resources[i].size_bytes = bytes;
+      continue;
+    }
+    Resource copy = image;
+    copy.name += ".linear";
+    copy.category = Category::kImageInternal;
+    copy.size_bytes = bytes;
+    places.accessed[i] = static_cast<uint32_t>(variant.resources.size());
+    places.copies.emplace_back(i, places.accessed[i]);
+    variant.resources.push_back(std::move(copy));
+  }
+  return places;
+}
+
+// --- dispatches
+
+uint64_t touched_bytes(const Resource& resource) {
+  return is_image(resource.category) ? uint64_t{resource.width} * resource.height *
+                                           image_format_info(resource.format).texel_bytes
+                                     : resource.size_bytes;
+}
+
+/// Each resource once for reading and once for writing, whole, at the memory's rate.
+void set_cost(Dispatch& dispatch, const Variant& variant, const DeviceProfile& profile) {
+  std::set<std::pair<uint32_t, uint32_t>> read, written;  // with frames back
+  for (const Binding& binding : dispatch.bindings) {
+    const uint64_t bytes = touched_bytes(variant.resources[binding.resource]);
+    if (binding.reads && read.emplace(binding.resource, binding.frames_back).second)
+      dispatch.cost.bytes_read += bytes;
+    if (binding.writes && written.emplace(binding.resource, 0).second)
+      dispatch.cost.bytes_written += bytes;
+  }
+  dispatch.cost.time_us =
+      1e-3 * (static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written) *
+                  profile.ns[Work::kByte] +
+              profile.ns[Work::kDispatch]);
+}
+
+void add_segment(Plan& plan, SegmentKind kind, uint32_t program, const std::string& name,
+                 Dispatch dispatch, const DeviceProfile& profile) {
+  dispatch.name = unused_dispatch_name(plan, name);
+  set_cost(dispatch, plan.variant, profile);
+  Segment segment;
+  segment.name = dispatch.name;
+  segment.kind = kind;
+  segment.program = program;
+  segment.dispatches.push_back(std::move(dispatch));
+  plan.variant.segments.push_back(std::move(segment));
+}
+
+Binding transfer_end(uint32_t number, uint32_t resource, bool writes) {
+  return {.binding = number,
+          .type = BindingType::kTransfer,
+          .resource = resource,
+          .view_format = ImageFormat::kNone,
+          .reads = !writes,
+          .writes = writes,
+          .frames_back = 0};
+}
+
+void add_copy(Plan& plan, uint32_t program, uint32_t from, uint32_t to, const DeviceProfile& profile) {
+  Dispatch copy;
+  copy.kernel = kCopyKernel;
+  copy.bindings = {transfer_end(0, from, false), transfer_end(1, to, true)};
+  const bool is_output = plan.variant.resources[to].category == Category::kImageOutput;
+  add_segment(plan, SegmentKind::kTransfer, program,
+              (is_output ? "show_" : "take_") + plan.variant.resources[is_output ? to : from].name,
+              std::move(copy), profile);
+}
+
+Result<void> add_clears(Plan& plan, uint32_t program, const FramePass& pass,
+                        const DeviceProfile& profile) {
+  for (const std::string& name : pass.clears) {
+    SHALE_TRY(const uint32_t index, find_resource(plan.variant, name, pass_label(pass)));
+    if (plan.variant.resources[index].category != Category::kImageInternal)
+      return bad_input(pass_label(pass), "clears \"{}\", which is no internal image", name);
+    Dispatch clear;
+    clear.kernel = kClearKernel;
+    clear.bindings = {transfer_end(0, index, true)};
+    add_segment(plan, SegmentKind::kTransfer, program, "clear_" + name, std::move(clear), profile);
+  }
+  return {};
+}
+
+/// Pixels of what the pass goes over.
+Result<FrameExtent> grid_of(const Variant& variant, const FramePass& pass,
+                            const LoweringOptions& options) {
+  if (pass.over_size) return (*pass.over_size)(options.render, options.output);
+  for (const Resource& resource : variant.resources) {
+    if (resource.name != pass.over) continue;
+    if (is_image(resource.category)) return FrameExtent{resource.width, resource.height};
+    if (resource.shape.size() == 4 && resource.shape[1] <= kMaxImageExtent &&
+        resource.shape[2] <= kMaxImageExtent)
+      return FrameExtent{static_cast<uint32_t>(resource.shape[2]),
+                         static_cast<uint32_t>(resource.shape[1])};
+  }
+  return bad_input(pass_label(pass), "there is no image, graph input or output \"{}\" to go over",
+                   pass.over);
+}
+
+/// The output that shows an image, if one does.
+std::optional<uint32_t> shown_as(const Variant& variant, const Frame& frame, const std::string& image) {
+  for (const FrameImage& each : frame.images)
+    if (each.shows == image)
+      for (uint32_t i = 0; i < variant.resources.size(); ++i)
+        if (variant.resources[i].name == each.name) return i;
+  return std::nullopt;
+}
+
+Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places& places,
+                      const LoweringOptions& options) {
+  const FramePass& pass = *used.pass;
+  Dispatch dispatch;
+  dispatch.kernel = "pass";
+  SHALE_TRY(const FrameExtent grid, grid_of(plan.variant, pass, options));
+  dispatch.workgroups = {(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
+                         (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+  std::string accessors;
+  std::vector<std::pair<uint32_t, uint32_t>> shows;
+  for (size_t b = 0; b < pass.bindings.size(); ++b) {
+    const FrameBinding& from = pass.bindings[b];
+    SHALE_TRY(const uint32_t index, find_resource(plan.variant, from.name, pass_label(pass)));
+    SHALE_TRY_VOID(check_binding(pass, from, plan.variant.resources[index]));
+    AccessedResource accessed;
+    accessed.handle = from.handle;
+    accessed.index = places.accessed[index];
+    accessed.resource = &plan.variant.resources[accessed.index];
+    accessed.verbs = used.verbs[b];
+    accessed.frames_back = from.frames_back;
+    accessed.form = places.forms[index];
+    accessed.is_linear = places.is_linear;
+    // On a CPU driver a storage image is read at half the cost; the host's come for sampling.
+    accessed.loads = options.profile.literal_weights &&
+                     accessed.resource->category != Category::kImageInput;
+    const std::optional<uint32_t> shown = shown_as(plan.variant, options.frame, from.name);
+    if (from.writes && shown) {
+      if (accessed.form == AccessForm::kImage)
+        accessed.mirror = shown;
+      else
+        shows.emplace_back(accessed.index, *shown);
+    }
+    SHALE_TRY(const std::string text, accessor_text(accessed, dispatch.bindings, pass_label(pass)));
+    accessors += text;
+  }
+  if (std::any_of(dispatch.bindings.begin(), dispatch.bindings.end(),
+                  [](const Binding& binding) { return binding.binding >= kMaxBindings; }))
+    return bad_input(pass_label(pass), "needs {} bindings, expected at most {}",
+                     dispatch.bindings.size(), kMaxBindings);
+  if (accessors.find("int8_t") != std::string::npos)
+    used.source.defines.emplace_back("SHALE_STORES_ELEMENTS", "1");
+  used.source.load = includes_of(pass, options.load_shader, std::move(accessors));
+  dispatch.module = static_cast<uint32_t>(plan.sources.size());
+  plan.sources.push_back(std::move(used.source));
+  add_segment(plan, SegmentKind::kCompute, program, pass.name, std::move(dispatch), options.profile);
+  for (const auto& [from, to] : shows) add_copy(plan, program, from, to, options.profile);
+  return {};
+}
+
+/// Outputs that show an image have its format and size, and no pass writes them.
+Result<void> check_shown(const Variant& variant, const Frame& frame) {
+  for (const FrameImage& image : frame.images) {
+    if (image.shows.empty()) continue;
+    const std::string where = "image \"" + image.name + "\"";
+    SHALE_TRY(const uint32_t from, find_resource(variant, image.shows, where));
+    SHALE_TRY(const uint32_t to, find_resource(variant, image.name, where));
+    const Resource &source = variant.resources[from], &shown = variant.resources[to];
+    if (!is_image(source.category) || source.category == Category::kImageInput ||
+        source.category == Category::kImageOutput || source.format != shown.format ||
+        source.width != shown.width || source.height != shown.height)
+      return bad_input(where, "shows \"{}\", which is no internal or history image of its format and size",
+                       image.shows);
+    for (const FrameImage& other : frame.images)
+      if (&other != &image && other.shows == image.shows)
+        return bad_input(where, "shows \"{}\", as \"{}\" does", image.shows, other.name);
+    for (const FramePass* pass : shader_passes(frame))
+      for (const FrameBinding& binding : pass->bindings)
+        if (binding.name == image.name)
+          return bad_input(pass_label(*pass), "writes \"{}\", which shows \"{}\"", image.name,
+                           image.shows);
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs, const LoweringOptions& options,
+                         WeightBlob& weights) {
+  Variant& variant = plan.variant;
+  const Frame& frame = options.frame;
+  for (const PlannedGraph& graph : graphs) SHALE_TRY_VOID(plan_interface(plan, graph));
+  describe_tensors(plan, frame);
+  SHALE_TRY_VOID(add_images(plan, options));
+  variant.params = frame.params;
+  variant.programs.clear();
+  SHALE_TRY_VOID(check_shown(variant, frame));
+
+  const bool is_linear = prefers_buffers(variant, options.profile);
+  std::vector<UsedPass> passes;
+  for (const FramePass* pass : shader_passes(frame)) {
+    SHALE_TRY(UsedPass used, used_pass(variant, *pass, options, is_linear));
+    passes.push_back(std::move(used));
+  }
+  const Places places = choose_places(plan, passes, is_linear);
+
+  const std::vector<std::string> files = graph_files(frame);
+  auto used = passes.begin();
+  for (const FrameProgram& program : frame.programs) {
+    const uint32_t index = static_cast<uint32_t>(variant.programs.size());
+    variant.programs.push_back(program.name);
+    for (const auto& [from, to] : places.copies) {
+      const std::string& name = variant.resources[from].name;
+      if (std::any_of(program.passes.begin(), program.passes.end(), [&](const FramePass& pass) {
+            return std::any_of(pass.bindings.begin(), pass.bindings.end(),
+                               [&](const FrameBinding& binding) { return binding.name == name; });
+          }))
+        add_copy(plan, index, from, to, options.profile);
+    }
+    for (const FramePass& pass : program.passes) {
+      if (!pass.graph.empty()) {
+        const size_t which =
+            static_cast<size_t>(std::find(files.begin(), files.end(), pass.graph) - files.begin());
+        SHALE_TRY_VOID(plan_graph(plan, graphs[which], index, options.profile, options.choice, weights));
+        continue;
+      }
+      SHALE_TRY_VOID(add_clears(plan, index, pass, options.profile));
+      SHALE_TRY_VOID(add_pass(plan, index, std::move(*used++), places, options));
+    }
+  }
+  return add_views(plan, frame);
+}
+
+}  // namespace shale
