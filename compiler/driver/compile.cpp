@@ -9,6 +9,7 @@
 
 #include "compiler/cost/cost.h"
 #include "compiler/frontend/frontend.h"
+#include "compiler/kernels/select.h"
 #include "compiler/memory/planner.h"
 #include "compiler/spirv/check.h"
 #include "compiler/spirv/forward.h"
@@ -78,6 +79,7 @@ class VariantBuilder {
   }
 
   Result<Variant> build() {
+    SHALE_TRY(selection_, select_kernels(problems_, profile_, select_options()));
     for (const ValueId id : graph_.inputs) add_tensor(id, Category::kInput);
     for (const ValueId id : graph_.outputs) add_tensor(id, Category::kOutput);
     if (options_.frame) {
@@ -103,6 +105,7 @@ class VariantBuilder {
 
   uint64_t arena_lower_bound_bytes() const { return lower_bound_; }
   std::vector<WorkTable> take_work() { return std::move(work_); }
+  const Selection& selection() const { return selection_; }
 
  private:
   uint32_t add_tensor(ValueId id, Category category) {
@@ -231,21 +234,22 @@ class VariantBuilder {
     std::vector<std::string> names;
   };
 
-  Result<Emitted> emit_group(const GroupProblem& problem) const {
+  SelectOptions select_options() const {
+    return {.expected_runs =
+                options_.expected_runs.value_or(options_.frame ? kRunsOfFrame : kRunsOfNetwork),
+            .allowed = options_.kernels,
+            .prefer = options_.prefer,
+            .choices = options_.choices};
+  }
+
+  Result<Emitted> emit_group(size_t index) const {
+    const GroupProblem& problem = problems_[index];
     Emitted emitted;
     const std::string& name = graph_.value(problem.group.result).name;
-    if (const auto choice = options_.choices.find(name); choice != options_.choices.end()) {
-      emitted.family = find_kernel(choice->second);
-      if (!emitted.family || !emitted.family->supports(problem, profile_))
-        return bad_input("--choices", "\"{}\" cannot make \"{}\" for {}", choice->second, name,
-                         profile_.name);
-    } else {
-      emitted.family = options_.prefer.empty() ? nullptr : find_kernel(options_.prefer);
-      if (!emitted.family || !emitted.family->supports(problem, profile_))
-        emitted.family = &select_kernel(problem, profile_, options_.kernels);
-    }
+    emitted.family = selection_.families[index];
     SHALE_TRY(emitted.sources, emitted.family->emit(problem, profile_));
     emitted.work = emitted.family->work(problem);
+    emitted.work[Work::kDispatch] = static_cast<double>(emitted.sources.size());
     for (size_t part = 0; part < emitted.sources.size(); ++part) {
       std::string& own =
           emitted.names.emplace_back(part == 0 ? name : fmt::format("{}#{}", name, part));
@@ -259,7 +263,7 @@ class VariantBuilder {
     segment.name = "graph";
     segment.kind = SegmentKind::kGraph;
     std::vector<Result<Emitted>> groups(problems_.size(), Emitted{});
-    parallel_for(groups.size(), [&](size_t i) { groups[i] = emit_group(problems_[i]); });
+    parallel_for(groups.size(), [&](size_t i) { groups[i] = emit_group(i); });
     std::map<std::string, uint32_t> compiled;  // equal sources are compiled once
     for (size_t i = 0; i < groups.size(); ++i) {
       if (!groups[i]) return groups[i].error();
@@ -544,6 +548,7 @@ class VariantBuilder {
   WeightBlob& blob_;
   std::vector<std::string>& warnings_;
   Variant variant_;
+  Selection selection_;
   std::map<ValueId, uint32_t> resource_of_;
   std::map<ValueId, LiveInterval> live_;
   std::vector<WorkTable> work_;
@@ -572,10 +577,31 @@ std::optional<std::string> unproven(const Graph& graph, const GroupProblem& prob
   return std::nullopt;
 }
 
+/// The groups as the profile can bind them.
+/// Errors: kBadInput for an accumulator that is not bounded, where that is asked for.
+Result<std::vector<GroupProblem>> group_problems(const Graph& graph, const DeviceProfile& profile,
+                                                 const CompileOptions& options,
+                                                 std::vector<std::string>& warnings) {
+  std::vector<GroupProblem> problems;
+  for (Group& group : collect_groups(graph, profile.caps.max_storage_buffers)) {
+    GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
+    problem.proof = prove_ranges(graph, problem.group);
+    problem.cost = group_cost(graph, problem.group);
+    if (std::optional<std::string> message = unproven(graph, problem)) {
+      if (options.require_proof) return bad_input("--require-proof", "{}", *message);
+      if (std::find(warnings.begin(), warnings.end(), *message) == warnings.end())
+        warnings.push_back(*std::move(message));
+    }
+    problems.push_back(std::move(problem));
+  }
+  return problems;
+}
+
 std::string options_text(const CompileOptions& options) {
   std::string text =
       fmt::format("optimize={} kernels=[{}] spirv_opt={}", options.pass_options.optimize,
                   fmt::join(options.kernels, ","), options.optimize_spirv);
+  if (options.expected_runs) text += fmt::format(" runs={:g}", *options.expected_runs);
   for (const auto& [name, kernel] : options.choices) text += fmt::format(" {}:{}", name, kernel);
   for (const auto& [name, shape] : options.passes.input_shapes)
     text += fmt::format(" {}={}", name, shape_text(shape));
@@ -653,18 +679,6 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
   SHALE_TRY(compiled.timings, run_pipeline(graph, options.passes, options.pass_options));
   give_outputs_nodes(graph);
 
-  std::vector<GroupProblem> problems;
-  for (Group& group : collect_groups(graph)) {
-    GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
-    problem.proof = prove_ranges(graph, problem.group);
-    problem.cost = group_cost(graph, problem.group);
-    if (const std::optional<std::string> message = unproven(graph, problem)) {
-      if (options.require_proof) return bad_input("--require-proof", "{}", *message);
-      compiled.warnings.push_back(*message);
-    }
-    problems.push_back(std::move(problem));
-  }
-
   const auto start = std::chrono::steady_clock::now();
   WeightBlob blob;
   for (const std::string& target : options.targets) {
@@ -678,11 +692,14 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
     DeviceProfile own = *profile;
     if (const auto measured = options.constants.find(target); measured != options.constants.end())
       own.ns = measured->second.ns, own.roof_gops = measured->second.roof_gops;
+    SHALE_TRY(const std::vector<GroupProblem> problems,
+              group_problems(graph, own, options, compiled.warnings));
     VariantBuilder builder(graph, problems, own, options, blob, compiled.warnings);
     SHALE_TRY(Variant variant, builder.build());
     compiled.arena_lower_bound_bytes =
         std::max(compiled.arena_lower_bound_bytes, builder.arena_lower_bound_bytes());
     compiled.work.push_back(builder.take_work());
+    compiled.selections.push_back(builder.selection());
     compiled.package.variants.push_back(std::move(variant));
   }
   const std::chrono::duration<double, std::milli> elapsed =
