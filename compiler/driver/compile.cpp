@@ -76,6 +76,7 @@ class VariantBuilder {
         blob_(blob),
         warnings_(warnings) {
     variant_.target = profile.name;
+    variant_.device_class = profile.device_class;
   }
 
   Result<Variant> build() {

@@ -38,17 +38,19 @@ WorkTable work_ns(std::initializer_list<std::pair<Work, double>> list) {
 }
 
 /// A class of GPUs: what any has, and `more`. Rates are assumed, for ranking kernels only.
-DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet more,
-                       WorkTable more_ns = {}) {
+DeviceProfile gpu_with(std::string_view name, std::string_view help, DeviceClass device_class,
+                       FeatureSet more, WorkTable more_ns = {}) {
   DeviceProfile profile{
       .name = name,
       .help = help,
+      .device_class = device_class,
       .caps = {.name = "GPU",
                .driver = "",
                .api_version = (1u << 22) | (3u << 12),
                .cpu = false,
                .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16,
-                                     Feature::kInt8, Feature::kInt16, Feature::kInt64}),
+                                     Feature::kInt8, Feature::kInt16, Feature::kInt64,
+                                     Feature::kStorageImageExtended}),
                .max_workgroup_invocations = 128,
                .max_workgroup_size = {128, 128, 64},
                .max_workgroup_count = {65535, 65535, 65535},
@@ -73,13 +75,15 @@ const std::vector<DeviceProfile>& profiles() {
   static const std::vector<DeviceProfile> table{
       {.name = "lavapipe",
        .help = "Vulkan on the CPU by Mesa: literal weights, float32 where exact",
+       .device_class = DeviceClass::kCpu,
        .caps = {.name = "llvmpipe",
                 .driver = "Mesa 22.3",
                 .api_version = (1u << 22) | (3u << 12),
                 .cpu = true,
                 .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16,
                                       Feature::kInt8, Feature::kInt16, Feature::kInt64,
-                                      Feature::kDotProduct8, Feature::kFloat64}),
+                                      Feature::kDotProduct8, Feature::kFloat64,
+                                      Feature::kStorageImageExtended}),
                 .max_workgroup_invocations = 1024,
                 .max_workgroup_size = {1024, 1024, 1024},
                 .max_workgroup_count = {65535, 65535, 65535},
@@ -112,13 +116,14 @@ const std::vector<DeviceProfile>& profiles() {
            "at 320x180 (shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa "
            "22.3.6; "
            "float_product, int_product and generic_mac from tests/bench, byte assumed"},
-      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers", {}),
+      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers",
+               DeviceClass::kAny, {}),
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",
-               features({Feature::kDotProduct8}), work_ns({{Work::kDotMac, 0.002}})),
+               DeviceClass::kDot8Gpu, features({Feature::kDotProduct8}), work_ns({{Work::kDotMac, 0.002}})),
       gpu_with(
           "coopmat-gpu",
           "a GPU with int8 cooperative matrices of 16x16x32 in subgroups of 32 (not run on one)",
-          features({Feature::kDotProduct8, Feature::kCooperativeMatrix}),
+          DeviceClass::kMatrixGpu, features({Feature::kDotProduct8, Feature::kCooperativeMatrix}),
           work_ns({{Work::kDotMac, 0.002}, {Work::kMatrixMac, 0.0008}})),
   };
   return table;

@@ -56,6 +56,7 @@ struct MeasuredConstants {
 struct DeviceProfile {
   std::string_view name;
   std::string_view help;
+  DeviceClass device_class = DeviceClass::kAny;
   DeviceCaps caps;
   WorkTable ns{};  ///< what a unit of work takes, all cores at work
   double roof_gops =

@@ -17,11 +17,19 @@ constexpr std::array<const char*, kFeatureCount> kFeatureNames{
     "shaderIntegerDotProduct",
     "cooperativeMatrix",
     "shaderFloat64",
+    "shaderStorageImageExtendedFormats",
 };
+
+constexpr std::array<const char*, kDeviceClassCount> kDeviceClassNames{"any", "cpu", "dot8-gpu",
+                                                                       "matrix-gpu"};
 
 }  // namespace
 
 const char* feature_name(Feature feature) { return kFeatureNames[static_cast<uint32_t>(feature)]; }
+
+const char* device_class_name(DeviceClass device_class) {
+  return kDeviceClassNames[static_cast<uint32_t>(device_class)];
+}
 
 std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& requirements) {
   std::vector<std::string> lines;

@@ -20,8 +20,11 @@ enum class Feature : uint32_t {
   /// and vulkanMemoryModel, which modules with such products have to use
   kCooperativeMatrix = 7,
   kFloat64 = 8,  ///< shaderFloat64
+  /// shaderStorageImageExtendedFormats: storage images of the formats that every device need not
+  /// have
+  kStorageImageExtended = 9,
 };
-inline constexpr uint32_t kFeatureCount = 9;
+inline constexpr uint32_t kFeatureCount = 10;
 
 /// Feature as written in messages and by `shale doctor`: "shaderInt8".
 const char* feature_name(Feature feature);
@@ -32,6 +35,18 @@ struct FeatureSet {
   void add(Feature f) { bits |= 1u << static_cast<uint32_t>(f); }
   bool operator==(const FeatureSet&) const = default;
 };
+
+/// What kind of device a variant is for. The numbers are stored in packages.
+enum class DeviceClass : uint8_t {
+  kAny = 0,        ///< whatever meets the requirements
+  kCpu = 1,        ///< a driver that runs shaders on the CPU
+  kDot8Gpu = 2,    ///< a GPU with int8 dot products
+  kMatrixGpu = 3,  ///< a GPU with int8 cooperative matrices
+};
+inline constexpr uint32_t kDeviceClassCount = 4;
+
+/// As `shale dump` writes it: "dot8-gpu".
+const char* device_class_name(DeviceClass device_class);
 
 /// Snapshot of a device, taken by runtime/vk or written down in compiler/target; no handles.
 struct DeviceCaps {
@@ -47,7 +62,8 @@ struct DeviceCaps {
   uint64_t max_storage_range_bytes = 0;
   uint64_t max_texel_elements = 0;
   uint32_t max_storage_buffers = 0;  ///< per stage
-  uint32_t max_texel_buffers = 0;    ///< sampled images per stage; texel buffers count there
+  uint32_t max_texel_buffers = 0;    ///< sampled images per stage; texel buffers and images with
+                                     ///< samplers count there
   uint32_t max_storage_images = 0;   ///< per stage
   uint32_t subgroup_size = 0;
 };
@@ -60,7 +76,7 @@ struct Requirements {
   uint64_t storage_range_bytes = 0;  ///< largest buffer binding
   uint64_t texel_elements = 0;       ///< largest texel buffer binding
   uint32_t storage_buffers = 0;      ///< most in one dispatch
-  uint32_t texel_buffers = 0;        ///< most in one dispatch, sampled images included
+  uint32_t texel_buffers = 0;        ///< most in one dispatch, all sampled images included
   uint32_t storage_images = 0;       ///< most in one dispatch
   bool operator==(const Requirements&) const = default;
 };
