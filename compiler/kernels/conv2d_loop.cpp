@@ -29,6 +29,7 @@ class LoopEmitter {
   explicit LoopEmitter(const GroupProblem& problem)
       : conv_(problem),
         codegen_(problem),
+        input_(problem.graph->node(*problem.group.head).inputs[0]),
         pixels_(std::min(kPixels, conv_.out()[2])),
         blocks_(groups(conv_.out()[3], kChannels)) {
     for (int64_t oc = 0; oc < conv_.out()[3]; ++oc) {
@@ -117,10 +118,19 @@ class LoopEmitter {
     const size_t binding =
         codegen_.bind(part.value, BindingType::kUniformTexelBuffer, format, false);
     const int64_t texels = part.in_words() ? part.words() / wide : part.channels;
-    codegen_.add_function(fmt::format(
-        "int locate{}(int n, int y, int x, out uint fill) {{\n{}  return ((n * {} + y) * {} + x) * "
-        "{};\n}}\n\n",
-        index, part.steps, shape[1], shape[2], texels));
+    // Where no view is folded, without a branch, both sides of which a CPU driver runs anyway.
+    const std::string place =
+        fmt::format("((n * {} + y) * {} + x) * {}", shape[1], shape[2], texels);
+    const std::string body = part.value == input_
+                                 ? fmt::format(
+                                       "  fill = {:#010x}u;\n  int at = {};\n"
+                                       "  bool inside = uint(y) < {}u && uint(x) < {}u;\n"
+                                       "  return inside ? at : -1;\n",
+                                       static_cast<uint32_t>(conv_.input_zp() & 255) * 0x01010101u,
+                                       place, shape[1], shape[2])
+                                 : fmt::format("{}  return {};\n", part.steps, place);
+    codegen_.add_function(
+        fmt::format("int locate{}(int n, int y, int x, out uint fill) {{\n{}}}\n\n", index, body));
     std::string fetch;
     if (part.in_words()) {
       fetch = fmt::format("  {} word = texelFetch(t{}, max(at, 0) + k){};\n", type(wide), binding,
@@ -154,17 +164,30 @@ class LoopEmitter {
         "  if (x >= {}) return;\n",
         blocks_, blocks_, pixels_, out[2]);
     text += declare_sums(sums_fit() ? "vec4" : "ivec4", "a");
-    text += fmt::format(
-        "  int w = block * {};\n  for (int ky = 0; ky < {}; ++ky)\n"
-        "  for (int kx = 0; kx < {}; ++kx) {{\n"
-        "    int iy = y * {} - {} + ky * {}, ix = x * {} - {} + kx * {};\n",
-        conv_.taps() * conv_.words(), conv_.weight()[1], conv_.weight()[2], stride[0], pad[0],
-        dilation[0], stride[1], pad[2], dilation[1]);
-    for (size_t i = 0; i < conv_.parts().size(); ++i) text += part(i, stride[1]);
-    text += "  }\n";
+    std::string taps =
+        fmt::format("  int iy = y * {} - {} + ky * {}, ix = x * {} - {} + kx * {};\n", stride[0],
+                    pad[0], dilation[0], stride[1], pad[2], dilation[1]);
+    for (size_t i = 0; i < conv_.parts().size(); ++i) taps += part(i, stride[1]);
+    text += fmt::format("  int w = block * {};\n", conv_.taps() * conv_.words());
+    text += loop("ky", "0", conv_.weight()[1], loop("kx", "0", conv_.weight()[2], taps));
     for (int64_t p = 0; p < pixels_; ++p)
       text += fmt::format("  finish(ivec4(a{0}), n, y, x + {0}, block * {1});\n", p, kChannels);
     return text;
+  }
+
+  /// A loop that is left at its end: after a condition at its start CPU drivers run the body once
+  /// more, for no lane. None where there is one turn.
+  static std::string loop(const std::string& name, const std::string& from, const std::string& end,
+                          const std::string& body, int64_t step = 1) {
+    return fmt::format(
+        "  {{\n  int {0} = {1};\n  for (;;) {{\n{2}  {0} += {3};\n  if ({0} >= {4}) break;\n  }}\n "
+        " }}\n",
+        name, from, body, step, end);
+  }
+  static std::string loop(const std::string& name, const std::string& from, int64_t end,
+                          const std::string& body, int64_t step = 1) {
+    if (end <= step) return fmt::format("  {{\n  const int {} = {};\n{}  }}\n", name, from, body);
+    return loop(name, from, std::to_string(end), body, step);
   }
 
   std::string declare_sums(const char* type, const char* name) const {
@@ -183,17 +206,15 @@ class LoopEmitter {
       text += fmt::format("    uint f{0}; int p{0} = locate{1}(n, iy, ix + {2}, f{0});\n", p, index,
                           p * stride);
     if (sums_fit()) {
-      text += fmt::format("    for (int k = 0; k < {}; ++k, w += {}) {{\n", count, wide) +
-              step(index, wide, "a") + "    }\n";
+      text += loop("k", "0", count, step(index, wide, "a"));
     } else {
-      const int64_t run = std::max<int64_t>(run_words() / wide, 1);
-      text += fmt::format("    for (int from = 0; from < {}; from += {}) {{\n", count, run) +
-              declare_sums("vec4", "s") +
-              fmt::format("    for (int k = from; k < min(from + {}, {}); ++k, w += {}) {{\n", run,
-                          count, wide) +
-              step(index, wide, "s") + "    }\n";
-      for (int64_t p = 0; p < pixels_; ++p) text += fmt::format("    a{0} += ivec4(s{0});\n", p);
-      text += "    }\n";
+      // As many texels as a float32 sum may take, of each run one after the other.
+      const int64_t run = std::clamp<int64_t>(run_words() / wide, 1, count);
+      std::string sums = declare_sums("vec4", "s");
+      sums +=
+          loop("k", "from", fmt::format("min(from + {}, {})", run, count), step(index, wide, "s"));
+      for (int64_t p = 0; p < pixels_; ++p) sums += fmt::format("  a{0} += ivec4(s{0});\n", p);
+      text += loop("from", "0", count, sums, run);
     }
     return text + "    }\n";
   }
@@ -220,11 +241,12 @@ class LoopEmitter {
       }
       text += "      }\n";
     }
-    return text;
+    return text + fmt::format("      w += {};\n", wide);
   }
 
   GpuConv conv_;
   Codegen codegen_;
+  ValueId input_;
   int64_t pixels_, blocks_;
   int64_t largest_ = 0, largest_sum_ = 0;  ///< of |weight|, and of their sums by output channel
   size_t weights_ = 0;
@@ -239,8 +261,12 @@ bool conv2d_loop_supports(const GroupProblem& problem, const DeviceProfile& prof
 
 WorkTable conv2d_loop_work(const GroupProblem& problem) {
   WorkTable work = gpu_conv_work(problem, Work::kLoopMac, LoopEmitter(problem).macs());
+  // An element is made as by the generic kernel, and finding the place of a tap takes as long.
+  const Node& head = problem.graph->node(*problem.group.head);
+  const Shape& taps = problem.graph->value(head.inputs[1]).type.shape;
   work[Work::kGenericResult] = static_cast<double>(
-      element_count(problem.graph->value(problem.group.result).type.shape).value_or(0));
+      element_count(problem.graph->value(problem.group.result).type.shape).value_or(0) *
+      (1 + taps[1] * taps[2]));
   return work;
 }
 

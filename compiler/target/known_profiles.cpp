@@ -105,7 +105,7 @@ const std::vector<DeviceProfile>& profiles() {
                       {Work::kResult, 0.353},
                       {Work::kGenericMac, 2.35},
                       {Work::kGenericResult, 3.46},
-                      {Work::kLoopMac, 0.06},
+                      {Work::kLoopMac, 0.08},
                       {Work::kByte, 0.167}}),
        .roof_gops = 121.8,
        .driver_us_per_product = 300,
