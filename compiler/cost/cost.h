@@ -38,7 +38,7 @@ std::map<std::string, OpCost> cost_by_operator(const Graph& graph);
 /// convolution is charged per output position, pooling one per input; everything else is free.
 /// Every CLAMP is taken for a ReLU; one that an exporter folded into the zero point of a RESCALE
 /// leaves no trace and is not counted.
-/// Source: reference/cost_tables.json, conventions.counter_A.
+/// Source: tests/golden/cost_tables.json, conventions.counter_A.
 uint64_t counter_operations(const Graph& graph);
 
 /// The frame budget: passes and network together.

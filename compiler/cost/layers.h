@@ -40,6 +40,8 @@ enum class Activation : uint8_t {
   kSigmoid,
 };
 
+inline constexpr int64_t kMaxLayerSide = 16384;  ///< pixels of the low-resolution picture, a side
+
 /// Side of a grid of positions in units of the low-resolution (LR) side, reduced.
 struct Ratio {
   int64_t num = 1, den = 1;
@@ -96,7 +98,7 @@ struct LayerCounts {
   }
 };
 
-/// Source: reference/cost_tables.json, conventions "mac" and "counter_A".
+/// Source: tests/golden/cost_tables.json, conventions "mac" and "counter_A".
 LayerCounts count_layers(std::span<const Layer> layers);
 
 /// The same network as an INT8 TOSA graph with made-up weights, whose cost alone has a meaning: i8

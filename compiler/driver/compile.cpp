@@ -102,6 +102,7 @@ std::string options_text(const CompileOptions& options, const std::vector<Plan>&
     for (const double ns : constants.ns) numbers.add(fmt::format("{:.17g}", ns));
     text += fmt::format(" constants:{}={:016x}", target, numbers.hash());
   }
+  if (options.expected_runs) text += fmt::format(" runs={:g}", *options.expected_runs);
   for (const auto& [name, kernel] : options.choices) text += fmt::format(" {}:{}", name, kernel);
   for (const auto& [name, shape] : options.passes.input_shapes)
     text += fmt::format(" {}={}", name, shape_text(shape));
@@ -109,12 +110,6 @@ std::string options_text(const CompileOptions& options, const std::vector<Plan>&
     if (const auto hash = frame_hash(*options.frame, plans)) text += fmt::format(" frame={:016x}", *hash);
   return text;
 }
-
-/// What the passes leave of a graph, and what selection has to know of it.
-struct PreparedGraph {
-  Graph graph;
-  std::vector<GroupProblem> problems;  ///< they point to `graph`
-};
 
 /// The name in the frame of an input or output of the graph of a file.
 std::string frame_name(const Frame& frame, const std::string& file, const std::string& name) {
@@ -155,14 +150,14 @@ Result<std::map<std::string, Shape>> input_shapes(const Graph& graph, const std:
 }
 
 /// Every tensor of the frame that has a size is an input of a graph.
-Result<void> check_sized_tensors(const std::vector<PreparedGraph>& prepared,
+Result<void> check_sized_tensors(const std::vector<Graph>& graphs,
                                  const std::vector<std::string>& files, const Frame& frame) {
   for (const FrameTensor& tensor : frame.tensors) {
     bool is_input = !tensor.size;
-    for (size_t i = 0; i < prepared.size() && !is_input; ++i)
-      for (const ValueId id : prepared[i].graph.inputs)
-        is_input = is_input ||
-                   frame_name(frame, files[i], prepared[i].graph.value(id).name) == tensor.name;
+    for (size_t i = 0; i < graphs.size() && !is_input; ++i)
+      for (const ValueId id : graphs[i].inputs)
+        is_input =
+            is_input || frame_name(frame, files[i], graphs[i].value(id).name) == tensor.name;
     if (!is_input)
       return bad_input("frame.tensors", "the network has no NHWC input \"{}\"", tensor.name);
   }
@@ -176,26 +171,35 @@ Result<Graph> imported(std::span<const uint8_t> model, const CompileOptions& opt
   return import_model(model, import);
 }
 
-/// Runs the passes and collects the groups; `compiled` gets warnings and timings.
-Result<void> prepare(PreparedGraph& prepared, const std::string& file, const CompileOptions& options,
-                     Compiled& compiled) {
+/// Runs the passes; `compiled` gets their timings.
+Result<void> run_passes(Graph& graph, const std::string& file, const CompileOptions& options,
+                        Compiled& compiled) {
   PassContext context = options.passes;
-  SHALE_TRY(context.input_shapes, input_shapes(prepared.graph, file, options));
-  SHALE_TRY(const std::vector<PassTiming> timings,
-            run_pipeline(prepared.graph, context, options.pass_options));
+  SHALE_TRY(context.input_shapes, input_shapes(graph, file, options));
+  SHALE_TRY(const std::vector<PassTiming> timings, run_pipeline(graph, context, options.pass_options));
   compiled.timings.insert(compiled.timings.end(), timings.begin(), timings.end());
-  give_outputs_nodes(prepared.graph);
-  for (Group& group : collect_groups(prepared.graph)) {
-    GroupProblem problem{.graph = &prepared.graph, .group = std::move(group), .proof = {}, .cost = {}};
-    problem.proof = prove_ranges(prepared.graph, problem.group);
-    problem.cost = group_cost(prepared.graph, problem.group);
-    if (const std::optional<std::string> message = unproven(prepared.graph, problem)) {
-      if (options.require_proof) return bad_input("--require-proof", "{}", *message);
-      compiled.warnings.push_back(*message);
-    }
-    prepared.problems.push_back(std::move(problem));
-  }
+  give_outputs_nodes(graph);
   return {};
+}
+
+/// The groups as the profile can bind them.
+/// Errors: kBadInput for an accumulator that is not bounded, where that is asked for.
+Result<std::vector<GroupProblem>> group_problems(const Graph& graph, const DeviceProfile& profile,
+                                                 const CompileOptions& options,
+                                                 std::vector<std::string>& warnings) {
+  std::vector<GroupProblem> problems;
+  for (Group& group : collect_groups(graph, profile.caps.max_storage_buffers)) {
+    GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
+    problem.proof = prove_ranges(graph, problem.group);
+    problem.cost = group_cost(graph, problem.group);
+    if (std::optional<std::string> message = unproven(graph, problem)) {
+      if (options.require_proof) return bad_input("--require-proof", "{}", *message);
+      if (std::find(warnings.begin(), warnings.end(), *message) == warnings.end())
+        warnings.push_back(*std::move(message));
+    }
+    problems.push_back(std::move(problem));
+  }
+  return problems;
 }
 
 /// The profile of a target, with the constants of the device at hand where they are given.
@@ -213,31 +217,18 @@ Result<DeviceProfile> profile_of(const std::string& target, const CompileOptions
   return own;
 }
 
-/// What runs on one target.
-Result<Plan> plan_target(std::span<const PlannedGraph> graphs, const DeviceProfile& profile,
-                         const CompileOptions& options, WeightBlob& weights) {
-  Plan plan;
-  plan.variant.target = profile.name;
-  plan.variant.device_class = profile.device_class;
-  const KernelChoice choice{options.kernels, options.choices, options.prefer};
-  if (options.frame) {
-    SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
-    SHALE_TRY_VOID(lower_frame(
-        plan, graphs,
-        {*options.frame, sizes.first, sizes.second, options.load_shader, profile, choice}, weights));
-  } else {
-    plan.variant.programs = {"frame"};
-    SHALE_TRY_VOID(plan_interface(plan, graphs[0]));
-    SHALE_TRY_VOID(plan_graph(plan, graphs[0], 0, profile, choice, weights));
-  }
-  place_intermediates(plan);
-  return plan;
-}
-
-/// A graph's segment and the names of its inputs and outputs in the package.
-PlannedGraph planned_graph(const PreparedGraph& prepared, const CompileOptions& options,
-                           const std::string& file) {
-  PlannedGraph planned{"graph", &prepared.graph, prepared.problems, {}};
+/// A graph's segment, the names of its inputs and outputs in the package, its groups and their kernels.
+Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
+                                   const DeviceProfile& profile, const CompileOptions& options,
+                                   std::vector<std::string>& warnings) {
+  PlannedGraph planned{.name = "graph", .graph = &graph};
+  SHALE_TRY(planned.problems, group_problems(graph, profile, options, warnings));
+  const double runs = options.frame ? kRunsOfFrame : kRunsOfNetwork;
+  SHALE_TRY(planned.selection, select_kernels(planned.problems, profile,
+                                              {.expected_runs = options.expected_runs.value_or(runs),
+                                               .allowed = options.kernels,
+                                               .prefer = options.prefer,
+                                               .choices = options.choices}));
   if (!options.frame) return planned;
   for (const FrameProgram& program : options.frame->programs)
     for (const FramePass& pass : program.passes)
@@ -246,6 +237,25 @@ PlannedGraph planned_graph(const PreparedGraph& prepared, const CompileOptions& 
         planned.renamed.insert(pass.tensors.begin(), pass.tensors.end());
       }
   return planned;
+}
+
+/// What runs on one target.
+Result<Plan> plan_target(std::span<const PlannedGraph> graphs, const DeviceProfile& profile,
+                         const CompileOptions& options, WeightBlob& weights) {
+  Plan plan;
+  plan.variant.target = profile.name;
+  plan.variant.device_class = profile.device_class;
+  if (options.frame) {
+    SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
+    SHALE_TRY_VOID(lower_frame(
+        plan, graphs, {*options.frame, sizes.first, sizes.second, options.load_shader, profile}, weights));
+  } else {
+    plan.variant.programs = {"frame"};
+    SHALE_TRY_VOID(plan_interface(plan, graphs[0]));
+    SHALE_TRY_VOID(plan_graph(plan, graphs[0], 0, profile, weights));
+  }
+  place_intermediates(plan);
+  return plan;
 }
 
 /// The files of the frame's graphs; one without a name where there is no frame.
@@ -259,13 +269,15 @@ struct LoadedGraph {
   uint64_t hash = 0;
 };
 
-/// Graphs after the passes; what every target's plan is made of.
+/// Graphs after the passes, and what is made of them for each target.
 struct Prepared {
-  std::vector<PreparedGraph> graphs;
+  std::vector<Graph> graphs;
+  std::vector<DeviceProfile> profiles;
   std::vector<Plan> plans;
   WeightBlob weights;
 };
 
+/// `compiled` gets warnings, timings and selections.
 Result<Prepared> plan_all(std::vector<LoadedGraph> loaded, const CompileOptions& options,
                           Compiled& compiled) {
   for (const std::string& kernel : options.kernels)
@@ -274,18 +286,25 @@ Result<Prepared> plan_all(std::vector<LoadedGraph> loaded, const CompileOptions&
   if (loaded.size() != files.size())
     return bad_input("frame", "has {} graphs, {} are given", files.size(), loaded.size());
   Prepared all;
-  all.graphs.resize(loaded.size());  // in their places: problems point to them
-  std::vector<PlannedGraph> planned;
   for (size_t i = 0; i < loaded.size(); ++i) {
-    all.graphs[i].graph = std::move(loaded[i].graph);
-    SHALE_TRY_VOID(prepare(all.graphs[i], files[i], options, compiled));
-    planned.push_back(planned_graph(all.graphs[i], options, files[i]));
+    SHALE_TRY_VOID(run_passes(loaded[i].graph, files[i], options, compiled));
+    all.graphs.push_back(std::move(loaded[i].graph));
   }
   if (options.frame) SHALE_TRY_VOID(check_sized_tensors(all.graphs, files, *options.frame));
   for (const std::string& target : options.targets) {
     SHALE_TRY(const DeviceProfile profile, profile_of(target, options));
+    std::vector<PlannedGraph> planned;
+    Selection selection;
+    for (size_t i = 0; i < all.graphs.size(); ++i) {
+      SHALE_TRY(PlannedGraph graph,
+                planned_graph(all.graphs[i], files[i], profile, options, compiled.warnings));
+      selection.add(graph.selection);
+      planned.push_back(std::move(graph));
+    }
+    compiled.selections.push_back(std::move(selection));
     SHALE_TRY(Plan plan, plan_target(planned, profile, options, all.weights));
     all.plans.push_back(std::move(plan));
+    all.profiles.push_back(profile);
   }
   return all;
 }
@@ -299,11 +318,11 @@ Result<Compiled> compile_loaded(std::vector<LoadedGraph> loaded, const CompileOp
   compiled.package.provenance = {model_hash, options.model_name, kCompilerVersion,
                                  options_text(options, all.plans)};
   const auto start = std::chrono::steady_clock::now();
-  for (Plan& plan : all.plans) {
+  for (size_t i = 0; i < all.plans.size(); ++i) {
+    Plan& plan = all.plans[i];
     SHALE_TRY_VOID(build_modules(plan, {options.optimize_spirv, options.pass_options.verify_each,
                                         options.progress}));
-    const DeviceProfile* profile = find_profile(plan.variant.target);
-    for (const std::string& line : missing(profile->caps, plan.variant.requirements))
+    for (const std::string& line : missing(all.profiles[i].caps, plan.variant.requirements))
       compiled.warnings.push_back(fmt::format("target {}: {}", plan.variant.target, line));
     compiled.arena_lower_bound_bytes =
         std::max(compiled.arena_lower_bound_bytes, plan.arena_lower_bound_bytes);
@@ -317,8 +336,7 @@ Result<Compiled> compile_loaded(std::vector<LoadedGraph> loaded, const CompileOp
   SHALE_TRY_VOID(
       check_package(compiled.package));  // names, for one, come from the model as they are
   for (size_t i = 0; i < all.graphs.size(); ++i)
-    (i == 0 ? compiled.graph : compiled.further_graphs.emplace_back()) =
-        std::move(all.graphs[i].graph);
+    (i == 0 ? compiled.graph : compiled.further_graphs.emplace_back()) = std::move(all.graphs[i]);
   return compiled;
 }
 

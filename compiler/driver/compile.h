@@ -10,7 +10,7 @@
 
 #include "compiler/plan/frame.h"
 #include "compiler/frontend/frontend.h"
-#include "compiler/kernels/kernel.h"
+#include "compiler/kernels/select.h"
 #include "compiler/passes/pass.h"
 #include "ir/package/package.h"
 
@@ -18,7 +18,7 @@ namespace shale {
 
 struct CompileOptions {
   std::vector<std::string> targets{"lavapipe"};  ///< a variant each, names of known_profiles()
-  ImportOptions import;  ///< input_shapes are those of `passes`
+  ImportOptions import;                          ///< input_shapes are those of `passes`
   PassContext passes;
   PassOptions pass_options;
   std::vector<std::string>
@@ -30,6 +30,9 @@ struct CompileOptions {
   std::map<std::string, MeasuredConstants> constants;
   std::string
       prefer;  ///< family of every group that it supports and `choices` leaves; empty is none
+  /// Runs over which the driver's compile time is spread; nothing is kRunsOfFrame with a frame, else
+  /// kRunsOfNetwork.
+  std::optional<double> expected_runs;
   bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
   bool optimize_spirv = true;
   std::optional<Frame> frame;  ///< with it the package holds pre and post passes too
@@ -51,6 +54,8 @@ struct Compiled {
   uint64_t arena_lower_bound_bytes = 0;
   /// By variant: what each dispatch of the network does.
   std::vector<std::vector<WorkTable>> work;
+  std::vector<Selection>
+      selections;         ///< by variant: the kernels, and what they are expected to take
   double kernels_ms = 0;  ///< time in code generation and SPIR-V
 };
 

@@ -102,9 +102,12 @@ size_t Codegen::bind(ValueId id, BindingType type, ImageFormat format, bool writ
   return entry->second;
 }
 
-size_t Codegen::bind_constant(std::vector<uint8_t> bytes) {
+size_t Codegen::bind_constant(std::vector<uint8_t> bytes, BindingType type) {
   SHALE_CHECK(!bytes.empty() && bytes.size() % 16 == 0);
-  bindings_.push_back({.value = {}, .constant = std::move(bytes)});
+  bindings_.push_back({.value = {},
+                       .type = type,
+                       .view_format = ImageFormat::kRgba32Uint,
+                       .constant = std::move(bytes)});
   return bindings_.size() - 1;
 }
 
@@ -362,21 +365,7 @@ std::string Codegen::view(const Node& node, const Position& at) {
       if (inside.empty()) return element;
       return fmt::format("(({}) ? {} : {})", inside, element, load(node.inputs[2], {{"0"}, "0"}));
     }
-    case Op::kConcat: {
-      const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
-      int64_t end = to[axis];
-      std::string text;
-      for (size_t i = node.inputs.size(); i-- > 0;) {
-        const int64_t begin = end - value(node.inputs[i]).type.shape[axis];
-        mapped.coords[axis] =
-            begin == 0 ? at.coords[axis] : fmt::format("({} - {})", at.coords[axis], begin);
-        const std::string part = load(node.inputs[i], mapped);
-        text = text.empty() ? part
-                            : fmt::format("({} < {} ? {} : {})", at.coords[axis], end, part, text);
-        end = begin;
-      }
-      return text;
-    }
+    case Op::kConcat: return concat(node, at, to[static_cast<size_t>(node.attrs.get(Attr::kAxis))]);
     case Op::kResize: {
       const std::vector<int64_t> scale = ints(1), offset = ints(2);
       for (size_t axis = 0; axis < 2; ++axis)
@@ -388,6 +377,22 @@ std::string Codegen::view(const Node& node, const Position& at) {
     default: break;
   }
   SHALE_CHECK(false && "no view operator");
+}
+
+std::string Codegen::concat(const Node& node, const Position& at, int64_t extent) {
+  const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
+  Position mapped{at.coords, {}};
+  std::string text;
+  for (size_t i = node.inputs.size(); i-- > 0;) {
+    const int64_t begin = extent - value(node.inputs[i]).type.shape[axis];
+    mapped.coords[axis] =
+        begin == 0 ? at.coords[axis] : fmt::format("({} - {})", at.coords[axis], begin);
+    const std::string part = load(node.inputs[i], mapped);
+    text = text.empty() ? part
+                        : fmt::format("({} < {} ? {} : {})", at.coords[axis], extent, part, text);
+    extent = begin;
+  }
+  return text;
 }
 
 void Codegen::epilogue(std::string& body, const Position& at, const std::string& suffix,

@@ -28,8 +28,9 @@ class Codegen {
   /// The binding number of a buffer value; declares it on first use.
   size_t bind(ValueId id, BindingType type, ImageFormat format, bool writes);
 
-  /// The binding number of a buffer of uvec4 that holds the kernel's own constants.
-  size_t bind_constant(std::vector<uint8_t> bytes);
+  /// The binding number of a buffer (storage or texels) of uvec4 that holds the kernel's own
+  /// constants.
+  size_t bind_constant(std::vector<uint8_t> bytes, BindingType type = BindingType::kStorageBuffer);
 
   /// Expression for one element of a value: a local, a literal, a call into a folded view, or a
   /// load. `at` is a position in the value's own shape.
@@ -51,6 +52,9 @@ class Codegen {
 
   /// Expression of one element of a view node's result (coordinates in `at`), before folding.
   std::string view(const Node& node, const Position& at);
+
+  /// The same of a CONCAT whose operands fill `extent` along its axis.
+  std::string concat(const Node& node, const Position& at, int64_t extent);
 
   std::map<ValueId, std::string>& locals() { return locals_; }
 

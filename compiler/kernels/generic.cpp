@@ -1,6 +1,7 @@
 // generic: one invocation per result element, storage buffers; takes every group. The executable
 // fallback, and the naive kernel that the fast ones are measured against.
 #include <algorithm>
+#include <set>
 
 #include "compiler/kernels/codegen.h"
 
@@ -278,40 +279,93 @@ WorkTable generic_work(const GroupProblem& problem) {
   return work;
 }
 
-Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem, const DeviceProfile&) {
-  Codegen codegen(problem);
-  const Value& result = codegen.value(problem.group.result);
-  const int64_t count = *element_count(result.type.shape);
+namespace {
+
+/// One invocation for each element of `shape`, numbered from 0: `body` starts with its position, the
+/// names of which are in `at`.
+KernelSource grid_over(const Shape& shape, Position& at, std::string& body) {
+  const int64_t count = *element_count(shape);
   const int64_t groups = (count + kLocalSize - 1) / kLocalSize;
   const int64_t groups_x = std::min(groups, kMaxGroupsX);
   const int64_t groups_y = (groups + groups_x - 1) / groups_x;
-
-  std::string body = fmt::format(
+  body = fmt::format(
       "  uint invocation = gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * {}u;\n"
       "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
       groups_x * kLocalSize, count);
+  at = Codegen::split("index", shape);
   // One named local per dimension keeps the expressions below short.
-  Position at = Codegen::split("index", result.type.shape);
   for (size_t i = 0; i < at.coords.size(); ++i) {
     const std::string name = fmt::format("o{}", i);
     if (at.coords[i] == "0") continue;
     body += fmt::format("  int {} = {};\n", name, at.coords[i]);
     at.coords[i] = name;
   }
+  KernelSource source;
+  source.workgroups = {static_cast<uint32_t>(groups_x), static_cast<uint32_t>(groups_y), 1};
+  return source;
+}
+
+void finish(KernelSource& source, const Codegen& codegen, const std::string& body) {
+  source.glsl = codegen.finish(fmt::format("local_size_x = {}", kLocalSize), body);
+  source.bindings = codegen.bindings();
+}
+
+/// A CONCAT alone, as many dispatches as it takes to bind at most `max_buffers` in each: a dispatch
+/// makes the slab of the result that its operands fill.
+std::vector<KernelSource> concat_in_parts(const GroupProblem& problem, size_t max_buffers) {
+  const Node& node = problem.graph->node(problem.group.nodes.front());
+  const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
+  std::vector<KernelSource> sources;
+  int64_t begin = 0;
+  for (size_t first = 0; first < node.inputs.size();) {
+    Node part{.op = Op::kConcat, .attrs = node.attrs, .inputs = {}, .output = node.output};
+    std::set<ValueId> distinct;
+    Shape slab = problem.graph->value(node.output).type.shape;
+    slab[axis] = 0;
+    for (; first < node.inputs.size(); ++first) {
+      const ValueId operand = node.inputs[first];
+      if (distinct.size() + 1 >= max_buffers && !distinct.contains(operand)) break;
+      distinct.insert(operand);
+      part.inputs.push_back(operand);
+      slab[axis] += problem.graph->value(operand).type.shape[axis];
+    }
+    Codegen codegen(problem);
+    Position at;
+    std::string body;
+    KernelSource source = grid_over(slab, at, body);
+    Position to{at.coords, {}};
+    if (begin > 0) to.coords[axis] = fmt::format("({} + {})", at.coords[axis], begin);
+    body += codegen.store(node.output, to, codegen.concat(part, at, slab[axis]));
+    finish(source, codegen, body);
+    sources.push_back(std::move(source));
+    begin += slab[axis];
+  }
+  return sources;
+}
+
+}  // namespace
+
+Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem,
+                                               const DeviceProfile& profile) {
+  const size_t max_buffers = std::min(profile.caps.max_storage_buffers, kMaxBindings);
+  const Node& last = problem.graph->node(problem.group.nodes.back());
+  if (problem.group.nodes.size() == 1 && last.op == Op::kConcat &&
+      buffer_count(*problem.graph, problem.group.nodes) > max_buffers)
+    return concat_in_parts(problem, max_buffers);
+  Codegen codegen(problem);
+  Position at;
+  std::string body;
+  KernelSource source = grid_over(codegen.value(problem.group.result).type.shape, at, body);
   if (problem.group.head) {
     const Node& head = problem.graph->node(*problem.group.head);
     body += HeadEmitter(codegen, head, at).emit();
     codegen.locals()[head.output] = "h";
   }
   codegen.epilogue(body, at, "");
-  const Node& last = problem.graph->node(problem.group.nodes.back());
   const std::string value =
       op_kind(last) == OpKind::kView ? codegen.view(last, at) : codegen.load(last.output, at);
   body += codegen.store(problem.group.result, at, value);
-  KernelSource source;
-  source.glsl = codegen.finish(fmt::format("local_size_x = {}", kLocalSize), body);
-  source.workgroups = {static_cast<uint32_t>(groups_x), static_cast<uint32_t>(groups_y), 1};
-  source.bindings = codegen.bindings();
+  finish(source, codegen, body);
   return std::vector<KernelSource>{std::move(source)};
 }
 

@@ -41,7 +41,11 @@ std::string word_of(int64_t code) {
 }  // namespace
 
 bool GpuConv::supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  if (profile.literal_weights || !problem.group.head) return false;
+  return !profile.literal_weights && takes(problem);
+}
+
+bool GpuConv::takes(const GroupProblem& problem) {
+  if (!problem.group.head) return false;
   const Graph& graph = *problem.graph;
   const Node& node = head_of(problem);
   if (node.op != Op::kConv2d) return false;

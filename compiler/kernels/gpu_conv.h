@@ -19,7 +19,9 @@ class GpuConv {
   explicit GpuConv(const GroupProblem& problem);
 
   /// True for a conv2d of the kind above with constant bias, behind no views but pads of height and
-  /// width, resizes and concats of channels, on a profile that keeps weights in buffers.
+  /// width, resizes and concats of channels.
+  static bool takes(const GroupProblem& problem);
+  /// The same on a profile that keeps weights in buffers.
   static bool supports(const GroupProblem& problem, const DeviceProfile& profile);
 
   const Shape& in() const { return graph_.value(node_.inputs[0]).type.shape; }

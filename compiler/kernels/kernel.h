@@ -75,12 +75,6 @@ std::span<const KernelFamily> all_kernels();
 /// Null if there is no family of that name.
 const KernelFamily* find_kernel(std::string_view name);
 
-/// The family of least estimated time, with its share of the driver's compile time, among those that
-/// support the group; table order breaks ties.
-/// `allowed` (names; empty is all) restricts the choice; the generic kernel serves where none of them can.
-const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfile& profile,
-                                  std::span<const std::string> allowed = {});
-
 /// Static bounds of the group's convolution head (conv2d, depthwise_conv2d, transpose_conv2d with
 /// constant weights and bias), or nothing.
 /// Source: ours, shown in tests/compiler/range_proof_test.

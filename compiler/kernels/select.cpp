@@ -1,6 +1,6 @@
-#include <algorithm>
+#include "compiler/kernels/select.h"
 
-#include "compiler/kernels/kernel.h"
+#include <algorithm>
 
 namespace shale {
 namespace {
@@ -10,18 +10,54 @@ constexpr KernelFamily kKernels[] = {
   {name, prefix##_supports, prefix##_work, literals, prefix##_emit},
 #include "compiler/kernels/kernels.def"
 };
+constexpr const KernelFamily& kGeneric = kKernels[std::size(kKernels) - 1];  // supports everything
 
-/// The driver's compile time is spread over so many frames, minutes to hours of them: drivers keep
-/// the code on disk. A layer that gains less in them is not worth more code.
-constexpr double kFramesPerStart = 100000;
+/// A family that can make a group.
+struct Candidate {
+  const KernelFamily* family = nullptr;
+  int64_t products = 0;
+  double run_us = 0, driver_us = 0;
 
-double weighed_us(const KernelFamily& family, const GroupProblem& problem,
-                  const DeviceProfile& profile) {
-  const double setup_us =
-      family.literals
-          ? profile.driver_us_per_product * static_cast<double>(family.literals(problem, profile))
-          : 0;
-  return work_time_us(family.work(problem), profile.ns) + setup_us / kFramesPerStart;
+  double total_us(double runs) const { return driver_us + runs * run_us; }
+};
+
+Candidate candidate(const KernelFamily& family, const GroupProblem& problem,
+                    const DeviceProfile& profile) {
+  const WorkTable work = family.work(problem);
+  Candidate candidate{.family = &family, .run_us = work_time_us(work, profile.ns)};
+  if (family.literals) candidate.products = family.literals(problem, profile);
+  candidate.driver_us = profile.driver_us_per_product * static_cast<double>(candidate.products) +
+                        profile.driver_us_per_module * work[Work::kDispatch];
+  return candidate;
+}
+
+/// The families among which a group's is chosen, in table order; one where it is asked for by name.
+Result<std::vector<Candidate>> candidates(const GroupProblem& problem, const DeviceProfile& profile,
+                                          const SelectOptions& options) {
+  const auto one = [&](const KernelFamily& family) {
+    return std::vector<Candidate>{candidate(family, problem, profile)};
+  };
+  const std::string& name = problem.graph->value(problem.group.result).name;
+  if (const auto choice = options.choices.find(name); choice != options.choices.end()) {
+    const KernelFamily* family = find_kernel(choice->second);
+    if (!family || !family->supports(problem, profile))
+      return bad_input("--choices", "\"{}\" cannot make \"{}\" for {}", choice->second, name,
+                       profile.name);
+    return one(*family);
+  }
+  const KernelFamily* preferred = options.prefer.empty() ? nullptr : find_kernel(options.prefer);
+  if (preferred && preferred->supports(problem, profile)) return one(*preferred);
+  std::vector<Candidate> found;
+  for (const KernelFamily& family : kKernels) {
+    const bool is_allowed =
+        options.allowed.empty() || std::find(options.allowed.begin(), options.allowed.end(),
+                                             family.name) != options.allowed.end();
+    // A family that was asked for by name serves wherever it can, faster than the generic or not.
+    const bool is_last_resort = &family == &kGeneric && found.empty();
+    if ((is_allowed || is_last_resort) && family.supports(problem, profile))
+      found.push_back(candidate(family, problem, profile));
+  }
+  return found;
 }
 
 }  // namespace
@@ -34,23 +70,54 @@ const KernelFamily* find_kernel(std::string_view name) {
   return nullptr;
 }
 
-const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfile& profile,
-                                  std::span<const std::string> allowed) {
-  const KernelFamily& generic = kKernels[std::size(kKernels) - 1];  // supports everything
-  const KernelFamily* best = nullptr;
-  double best_us = 0;
-  for (const KernelFamily& family : kKernels) {
-    if (&family == &generic || !family.supports(problem, profile)) continue;
-    if (!allowed.empty() && std::find(allowed.begin(), allowed.end(), family.name) == allowed.end())
-      continue;
-    const double time_us = weighed_us(family, problem, profile);
-    if (!best || time_us < best_us) best = &family, best_us = time_us;
+void Selection::add(const Selection& other) {
+  families.insert(families.end(), other.families.begin(), other.families.end());
+  products += other.products;
+  run_us += other.run_us;
+  driver_us += other.driver_us;
+}
+
+Result<Selection> select_kernels(std::span<const GroupProblem> problems,
+                                 const DeviceProfile& profile, const SelectOptions& options) {
+  const double runs = std::max(options.expected_runs, 1.0);
+  std::vector<std::vector<Candidate>> choices;
+  std::vector<const Candidate*> chosen;
+  int64_t products = 0;
+  for (const GroupProblem& problem : problems) {
+    SHALE_TRY(std::vector<Candidate> found, candidates(problem, profile, options));
+    choices.push_back(std::move(found));
   }
-  if (!best) return generic;
-  // A family that was asked for by name serves wherever it can.
-  const bool faster = work_time_us(best->work(problem), profile.ns) <=
-                      work_time_us(generic.work(problem), profile.ns);
-  return faster || !allowed.empty() ? *best : generic;
+  for (const std::vector<Candidate>& group : choices) {
+    chosen.push_back(
+        &*std::min_element(group.begin(), group.end(), [&](const Candidate& a, const Candidate& b) {
+          return a.total_us(runs) < b.total_us(runs);
+        }));
+    products += chosen.back()->products;
+  }
+  // Beyond the bound the code goes first that gains the least for a product.
+  while (products > profile.most_products) {
+    size_t at = 0;
+    const Candidate* next = nullptr;
+    double least = 0;
+    for (size_t i = 0; i < choices.size(); ++i)
+      for (const Candidate& other : choices[i]) {
+        const int64_t saved = chosen[i]->products - other.products;
+        if (saved <= 0) continue;
+        const double loss =
+            (other.total_us(runs) - chosen[i]->total_us(runs)) / static_cast<double>(saved);
+        if (!next || loss < least) next = &other, least = loss, at = i;
+      }
+    if (!next) break;  // what is left was asked for by name
+    products += next->products - chosen[at]->products;
+    chosen[at] = next;
+  }
+  Selection selection{.families = {}, .products = products};
+  for (const Candidate* each : chosen) {
+    selection.families.push_back(each->family);
+    selection.run_us += each->run_us;
+    selection.driver_us += each->driver_us;
+  }
+  return selection;
 }
 
 }  // namespace shale

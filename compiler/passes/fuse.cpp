@@ -9,14 +9,8 @@
 namespace shale {
 namespace {
 
-/// Most buffers that the operands of a dispatch may bind.
-constexpr size_t kMaxGroupOperands = 12;
-
-/// Constants of one element and shapes become literals of the kernel.
-bool binds_buffer(const Value& value) {
-  return value.type.dtype != DType::kShape &&
-         !(value.is_constant() && value.constant->count() == 1);
-}
+/// Most buffers of a fused dispatch, its result among them.
+constexpr size_t kMaxGroupBuffers = 13;
 
 /// Groups under construction, as disjoint sets of nodes.
 class Grouping {
@@ -43,19 +37,13 @@ class Grouping {
   bool may_merge(uint32_t a, uint32_t b) const {
     if (owner_[a] == owner_[b]) return false;
     int heads = 0;
-    std::set<ValueId> operands;
+    std::vector<NodeId> nodes;
     for (uint32_t i = 0; i < owner_.size(); ++i) {
       if (owner_[i] != owner_[a] && owner_[i] != owner_[b]) continue;
-      const Node& node = graph_.nodes[i];
-      if (op_kind(node) == OpKind::kHead) ++heads;
-      for (const ValueId id : node.inputs) {
-        const auto producer = producers_[id.index];
-        const bool inside = producer && (owner_[producer->index] == owner_[a] ||
-                                         owner_[producer->index] == owner_[b]);
-        if (!inside && binds_buffer(graph_.value(id))) operands.insert(id);
-      }
+      nodes.push_back({i});
+      if (op_kind(graph_.nodes[i]) == OpKind::kHead) ++heads;
     }
-    return heads <= 1 && operands.size() <= kMaxGroupOperands;
+    return heads <= 1 && buffer_count(graph_, nodes) <= kMaxGroupBuffers;
   }
 
   void merge(uint32_t a, uint32_t b) {

@@ -1,11 +1,14 @@
 #include "compiler/passes/op_kind.h"
 
 #include <map>
+#include <set>
+
+#include "ir/base/result.h"
 
 namespace shale {
 
 OpKind op_kind(const Node& node) {
-  switch (node.op) {
+  switch (node.op) {  // no default: a new operator has to say what it is
     case Op::kConcat:
     case Op::kPad:
     case Op::kReshape:
@@ -31,19 +34,68 @@ OpKind op_kind(const Node& node) {
     case Op::kReduceSum:
     case Op::kGather:
     case Op::kScatter: return OpKind::kHead;
-    default: return OpKind::kElementwise;
+    case Op::kClamp:
+    case Op::kSigmoid:
+    case Op::kAdd:
+    case Op::kArithmeticRightShift:
+    case Op::kBitwiseAnd:
+    case Op::kBitwiseOr:
+    case Op::kBitwiseXor:
+    case Op::kIntDiv:
+    case Op::kLogicalAnd:
+    case Op::kLogicalLeftShift:
+    case Op::kLogicalRightShift:
+    case Op::kLogicalOr:
+    case Op::kLogicalXor:
+    case Op::kMaximum:
+    case Op::kMinimum:
+    case Op::kMul:
+    case Op::kSub:
+    case Op::kTable:
+    case Op::kAbs:
+    case Op::kBitwiseNot:
+    case Op::kClz:
+    case Op::kLogicalNot:
+    case Op::kNegate:
+    case Op::kSelect:
+    case Op::kEqual:
+    case Op::kGreater:
+    case Op::kGreaterEqual:
+    case Op::kCast:
+    case Op::kRescale: return OpKind::kElementwise;
   }
+  SHALE_CHECK(false && "an operator of ops.def has no kind");
 }
 
-std::vector<Group> collect_groups(const Graph& graph) {
-  std::map<uint32_t, uint32_t> last_node;  // group number to its last node
+size_t buffer_count(const Graph& graph, std::span<const NodeId> nodes) {
+  std::set<ValueId> made, constants;
+  std::set<std::pair<ValueId, NodeId>> reads;
+  for (const NodeId id : nodes) made.insert(graph.node(id).output);
+  for (const NodeId id : nodes)
+    for (const ValueId input : graph.node(id).inputs) {
+      const Value& value = graph.value(input);
+      if (made.contains(input) || value.type.dtype == DType::kShape) continue;
+      if (!value.is_constant())
+        reads.emplace(input, id);
+      else if (value.constant->count() != 1)
+        constants.insert(input);
+    }
+  return reads.size() + constants.size() + 1;
+}
+
+std::vector<Group> collect_groups(const Graph& graph, size_t max_buffers) {
+  std::map<uint32_t, std::vector<NodeId>> members;  // by group number
   for (uint32_t i = 0; i < graph.nodes.size(); ++i)
-    if (graph.nodes[i].group != 0) last_node[graph.nodes[i].group] = i;
+    if (graph.nodes[i].group != 0) members[graph.nodes[i].group].push_back({i});
+  std::map<uint32_t, uint32_t> last_node;  // of groups that stay whole
+  for (const auto& [number, nodes] : members)
+    if (buffer_count(graph, nodes) <= max_buffers) last_node[number] = nodes.back().index;
   std::map<uint32_t, Group>
       by_last;  // a consumer's last node comes after its producers' last nodes
   for (uint32_t i = 0; i < graph.nodes.size(); ++i) {
     const Node& node = graph.nodes[i];
-    Group& group = by_last[node.group == 0 ? i : last_node[node.group]];
+    const auto last = last_node.find(node.group);
+    Group& group = by_last[last == last_node.end() ? i : last->second];
     group.nodes.push_back({i});
     group.result = node.output;
     if (op_kind(node) == OpKind::kHead) group.head = NodeId{i};

@@ -1,6 +1,8 @@
 // compiler/passes/op_kind.h -- how an operator may take part in a fusion group.
 #pragma once
 
+#include <span>
+
 #include "ir/graph/graph.h"
 
 namespace shale {
@@ -29,7 +31,13 @@ struct Group {
   }
 };
 
-/// The groups of a graph in an order in which they can run; a node of group 0 stands alone.
-std::vector<Group> collect_groups(const Graph& graph);
+/// Most buffers that a dispatch of these nodes binds, its result among them: a value is counted for
+/// each node that reads it, since kernels may view it by words for one and by elements for another.
+/// Constants of one element and shapes become literals.
+size_t buffer_count(const Graph& graph, std::span<const NodeId> nodes);
+
+/// The groups of a graph in an order in which they can run; a node of group 0 stands alone, and so
+/// do the nodes of a group that binds more than `max_buffers`, a limit of devices.
+std::vector<Group> collect_groups(const Graph& graph, size_t max_buffers = SIZE_MAX);
 
 }  // namespace shale

@@ -487,31 +487,4 @@ std::vector<const FramePass*> shader_passes(const Frame& frame) {
   return passes;
 }
 
-double pass_bytes(const Frame& frame, FrameExtent render, FrameExtent output, const Graph* graph) {
-  const auto size_of = [&](const std::string& name) -> double {
-    for (const FrameImage& image : frame.images) {
-      if (image.name != name) continue;
-      const FrameExtent extent = image.size(render, output);
-      return static_cast<double>(extent.width) * extent.height *
-             image_format_info(image.format).texel_bytes;
-    }
-    const std::optional<ValueId> id = graph ? graph->find_value(name) : std::nullopt;
-    if (!id) return 0;
-    const TensorType& type = graph->value(*id).type;
-    return static_cast<double>(element_count(type.shape).value_or(0)) *
-           dtype_info(type.dtype).host_bytes;
-  };
-  double bytes = 0;
-  for (const FramePass& pass : frame.programs[0].passes) {
-    for (const std::string& name : pass.clears) bytes += size_of(name);
-    for (const FrameBinding& binding : pass.bindings) {
-      bytes += size_of(binding.name) * (int{binding.reads} + int{binding.writes});
-      if (!binding.writes) continue;
-      for (const FrameImage& image : frame.images)
-        if (image.shows == binding.name) bytes += size_of(image.name);
-    }
-  }
-  return bytes;
-}
-
 }  // namespace shale

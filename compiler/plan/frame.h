@@ -9,7 +9,6 @@
 #include <utility>
 #include <vector>
 
-#include "ir/graph/graph.h"
 #include "ir/package/package.h"
 
 namespace shale {
@@ -110,10 +109,6 @@ struct FrameSizes {
 /// that the frame does not offer.
 Result<std::pair<FrameExtent, FrameExtent>> frame_sizes(const Frame& frame,
                                                         const FrameSizes& wanted);
-
-/// Bytes that the passes of a frame's first program read and write at these sizes: images and tensors,
-/// each binding once and whole. `graph` has the tensors' shapes; null if there is no network.
-double pass_bytes(const Frame& frame, FrameExtent render, FrameExtent output, const Graph* graph);
 
 /// Text of a shader by its path in frame.json.
 using ShaderLoader = std::function<Result<std::string>(const std::string& path)>;

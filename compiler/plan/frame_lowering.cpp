@@ -456,7 +456,7 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs, const
       if (!pass.graph.empty()) {
         const size_t which =
             static_cast<size_t>(std::find(files.begin(), files.end(), pass.graph) - files.begin());
-        SHALE_TRY_VOID(plan_graph(plan, graphs[which], index, options.profile, options.choice, weights));
+        SHALE_TRY_VOID(plan_graph(plan, graphs[which], index, options.profile, weights));
         continue;
       }
       SHALE_TRY_VOID(add_clears(plan, index, pass, options.profile));

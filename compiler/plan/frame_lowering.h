@@ -19,7 +19,6 @@ struct LoweringOptions {
   FrameExtent render, output;
   ShaderLoader load_shader;
   const DeviceProfile& profile;
-  const KernelChoice& choice;
 };
 
 /// Plans all programs of a frame: images, passes, copies and the graphs, which lie in the order of graph_files().

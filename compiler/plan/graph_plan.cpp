@@ -62,30 +62,6 @@ const std::string& interface_name(const PlannedGraph& graph, const std::string& 
   return renamed == graph.renamed.end() ? name : renamed->second;
 }
 
-/// A group's dispatches before they are put into the plan.
-struct Emitted {
-  const KernelFamily* family = nullptr;
-  std::vector<KernelSource> sources;
-};
-
-Result<Emitted> emit_group(const GroupProblem& problem, const DeviceProfile& profile,
-                           const KernelChoice& choice) {
-  Emitted emitted;
-  const std::string& name = problem.graph->value(problem.group.result).name;
-  if (const auto chosen = choice.by_result.find(name); chosen != choice.by_result.end()) {
-    emitted.family = find_kernel(chosen->second);
-    if (!emitted.family || !emitted.family->supports(problem, profile))
-      return bad_input("--choices", "\"{}\" cannot make \"{}\" for {}", chosen->second, name,
-                       profile.name);
-  } else {
-    emitted.family = choice.prefer.empty() ? nullptr : find_kernel(choice.prefer);
-    if (!emitted.family || !emitted.family->supports(problem, profile))
-      emitted.family = &select_kernel(problem, profile, choice.allowed);
-  }
-  SHALE_TRY(emitted.sources, emitted.family->emit(problem, profile));
-  return emitted;
-}
-
 /// A part's share of a group's cost.
 Cost share(Cost cost, double time_us, size_t parts) {
   cost.macs /= parts;
@@ -195,11 +171,12 @@ Result<void> plan_interface(Plan& plan, const PlannedGraph& graph) {
 }
 
 Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
-                        const DeviceProfile& profile, const KernelChoice& choice,
-                        WeightBlob& weights) {
-  std::vector<Result<Emitted>> groups(graph.problems.size(), Emitted{});
-  parallel_for(groups.size(),
-               [&](size_t i) { groups[i] = emit_group(graph.problems[i], profile, choice); });
+                        const DeviceProfile& profile, WeightBlob& weights) {
+  std::vector<Result<std::vector<KernelSource>>> groups(graph.problems.size(),
+                                                        std::vector<KernelSource>{});
+  parallel_for(groups.size(), [&](size_t i) {
+    groups[i] = graph.selection.families[i]->emit(graph.problems[i], profile);
+  });
   Segment segment;
   segment.name = graph.name;
   const auto is_taken = [&](const Segment& before) { return before.name == segment.name; };
@@ -218,17 +195,19 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
   for (size_t i = 0; i < groups.size(); ++i) {
     if (!groups[i]) return groups[i].error();
     const GroupProblem& problem = graph.problems[i];
-    Emitted& group = *groups[i];
-    WorkTable work = group.family->work(problem);
-    for (double& amount : work) amount /= static_cast<double>(group.sources.size());
-    for (size_t part = 0; part < group.sources.size(); ++part) {
-      KernelSource& source = group.sources[part];
+    const KernelFamily& family = *graph.selection.families[i];
+    std::vector<KernelSource>& sources = *groups[i];
+    WorkTable work = family.work(problem);
+    work[Work::kDispatch] = static_cast<double>(sources.size());
+    for (double& amount : work) amount /= static_cast<double>(sources.size());
+    for (size_t part = 0; part < sources.size(); ++part) {
+      KernelSource& source = sources[part];
       Dispatch dispatch;
       dispatch.name = dispatch_name(plan, *graph.graph,
                                     graph.graph->value(problem.group.result).name, part);
-      dispatch.kernel = group.family->name;
+      dispatch.kernel = family.name;
       dispatch.workgroups = source.workgroups;
-      dispatch.cost = share(problem.cost, work_time_us(work, profile.ns), group.sources.size());
+      dispatch.cost = share(problem.cost, work_time_us(work, profile.ns), sources.size());
       plan.work.push_back(work);
       const auto [entry, is_new] =
           known.try_emplace(source.glsl, static_cast<uint32_t>(plan.sources.size()));

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "compiler/kernels/kernel.h"
+#include "compiler/kernels/select.h"
 #include "compiler/plan/memory.h"
 #include "compiler/spirv/glsl.h"
 #include "ir/package/package.h"
@@ -45,20 +45,14 @@ class WeightBlob {
   std::multimap<uint64_t, std::pair<uint64_t, size_t>> offsets_;
 };
 
-/// A network of a package: its graph after the passes, and what selection knows about each group.
+/// A network of a package: its graph after the passes, its groups as the target can bind them, and their kernels.
 struct PlannedGraph {
   std::string name;  ///< of its segment
   const Graph* graph = nullptr;
-  std::span<const GroupProblem> problems;
+  std::vector<GroupProblem> problems = {};
+  Selection selection = {};
   /// Names of graph inputs and outputs in the package, where they differ from those in the graph.
-  std::map<std::string, std::string> renamed;
-};
-
-/// How kernels are chosen where selection is not left alone.
-struct KernelChoice {
-  std::vector<std::string> allowed;  ///< families; empty is all
-  std::map<std::string, std::string> by_result;  ///< family by the name of a group's result
-  std::string prefer;                ///< family of every group that it supports; empty is none
+  std::map<std::string, std::string> renamed = {};
 };
 
 /// Adds the inputs and outputs of a graph as resources. One that another graph of the package has under the same name is
@@ -68,9 +62,9 @@ Result<void> plan_interface(Plan& plan, const PlannedGraph& graph);
 
 /// Appends a graph's dispatches, a kGraph segment of `program`: kernels, grids, bindings, weights, intermediates.
 /// Behind plan_interface.
-/// Errors: kBadInput for a choice that does not support its group; those of the kernel families.
+/// Errors: those of the kernel families.
 Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
-                        const DeviceProfile& profile, const KernelChoice& choice, WeightBlob& weights);
+                        const DeviceProfile& profile, WeightBlob& weights);
 
 /// `name`, or with '#' behind it what no dispatch of the plan is called: measured times are joined by it.
 std::string unused_dispatch_name(const Plan& plan, std::string name);

@@ -27,6 +27,7 @@ constexpr std::array<WorkInfo, kWorkCount> kWorks{{
     {"generic_result", "an element of the generic kernel"},
     {"dot_mac", "a product by int8 dot products"},
     {"matrix_mac", "a product by int8 cooperative matrices"},
+    {"loop_mac", "a float32 product of weights that a loop loads"},
     {"byte", "a byte read or written"},
 }};
 
@@ -104,9 +105,11 @@ const std::vector<DeviceProfile>& profiles() {
                       {Work::kResult, 0.353},
                       {Work::kGenericMac, 2.35},
                       {Work::kGenericResult, 3.46},
+                      {Work::kLoopMac, 0.08},
                       {Work::kByte, 0.167}}),
        .roof_gops = 121.8,
        .driver_us_per_product = 300,
+       .driver_us_per_module = 30000,
        .literal_weights = true,
        .source =
            "fitted by shale fit to NSS v1 HIGH, v0.1, SRPO x2, x3 at 640x360 and NSS v1 HIGH, LOW "

@@ -29,6 +29,7 @@ struct ModelledDevice {
   Constant efficiency;                         ///< share of the peak that convolutions reach
   std::array<Constant, kPrecisionCount> rate;  ///< of products, relative to INT8
   Constant other_gops;                         ///< operations that are no products
+  Constant shader_gops;                        ///< operations of shaders, those of passes
   Constant memory_gbps;                        ///< DRAM, sustained
   Constant cache_bytes;  ///< on chip, for a layer's tiles and for what lives briefly
   Constant dispatch_us;  ///< from one dispatch to the next

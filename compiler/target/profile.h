@@ -25,9 +25,10 @@ enum class Work : uint8_t {
   kGenericResult,  ///< an element by the generic kernel
   kDotMac,         ///< by int8 dot products
   kMatrixMac,      ///< by int8 cooperative matrices
+  kLoopMac,        ///< a float32 product of weights that a loop loads
   kByte,           ///< read or written, at the memory's rate while the rest goes on
 };
-inline constexpr size_t kWorkCount = 14;
+inline constexpr size_t kWorkCount = 15;
 
 struct WorkInfo {
   std::string_view name;  ///< in JSON
@@ -61,7 +62,9 @@ struct DeviceProfile {
   double roof_gops =
       0;  ///< float32 multiply and add in registers when `ns` was measured; 0 is unknown
   double driver_us_per_product = 0;  ///< the driver's compile time for a product in the code
-  bool literal_weights = false;  ///< constants in code are free: true where kernels run on a CPU
+  double driver_us_per_module = 0;   ///< the same for a module without any
+  int64_t most_products = 262144;  ///< in the code of a network: bounds its package and first start
+  bool literal_weights = false;    ///< constants in code are free: true where kernels run on a CPU
   std::string_view source;
 };
 

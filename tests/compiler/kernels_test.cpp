@@ -87,6 +87,8 @@ bool takes(const std::string& kernel, const ConvCase& row) {
       row.stride_y == 1 && row.stride_x == 1 && row.dilation_y == 1 && row.dilation_x == 1;
   if (kernel == "generic" || kernel == "conv2d_s8_i32") return true;
   if (kernel == "conv2d_s8_dot8") return true;
+  // Weights of full range leave int8 without their zero point.
+  if (kernel == "conv2d_s8_loop") return row.weight_zp == 0;
   if (row.name == "beyond_float") return false;
   if (row.name == "beyond_pair" || row.name == "beyond_winograd")
     return kernel == "conv2d_s8_f32exact";

@@ -283,14 +283,11 @@ TEST(CostTable, ComparesToThePrintedDigit) {
   EXPECT_EQ(verdict(R"(, "params_stated": "0.01M")"), "reproduced, not stated");
 }
 
-/// The published figures that the project collected lie beside the repository.
+/// The published figures that the project collected.
 class PublishedTable : public testing::Test {
  protected:
   void SetUp() override {
-    const std::string path = SHALE_SHARED_DIR "/reference/cost_tables.json";
-    if (!std::filesystem::exists(path))
-      GTEST_SKIP() << "the collection of published figures is not here";
-    const Result<std::string> text = read_text(path);
+    const Result<std::string> text = read_text(SHALE_SOURCE_DIR "/tests/golden/cost_tables.json");
     ASSERT_TRUE(text) << text.error().text();
     json_ = Json::parse(*text);
     Result<std::vector<CostRow>> rows = parse_cost_table(*text);

@@ -1,8 +1,9 @@
 // Which kernel a group gets: by name, without a device.
+#include "compiler/kernels/select.h"
+
 #include <gtest/gtest.h>
 
 #include "compiler/cost/cost.h"
-#include "compiler/kernels/kernel.h"
 #include "compiler/passes/pass.h"
 #include "tests/compiler/conv_case.h"
 #include "tests/compiler/graph_support.h"
@@ -10,17 +11,27 @@
 namespace shale {
 namespace {
 
-/// The kernel of the group that holds the convolution, after the passes.
-std::string selected(Graph graph, std::string_view target = "lavapipe",
-                     std::vector<std::string> allowed = {}) {
+/// The groups after the passes; `graph` has to outlive them.
+std::vector<GroupProblem> problems_of(Graph& graph) {
   must(run_pipeline(graph, {}, {}));
+  std::vector<GroupProblem> problems;
   for (Group& group : collect_groups(graph)) {
-    if (!group.head) continue;
     GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
     problem.proof = prove_ranges(graph, problem.group);
     problem.cost = group_cost(graph, problem.group);
-    return std::string(select_kernel(problem, *find_profile(target), allowed).name);
+    problems.push_back(std::move(problem));
   }
+  return problems;
+}
+
+/// The kernel of the group that holds the convolution, after the passes, for a frame's runs.
+std::string selected(Graph graph, std::string_view target = "lavapipe",
+                     std::vector<std::string> allowed = {}, double runs = kRunsOfFrame) {
+  const std::vector<GroupProblem> problems = problems_of(graph);
+  const Selection selection = must(select_kernels(
+      problems, *find_profile(target), {.expected_runs = runs, .allowed = std::move(allowed)}));
+  for (size_t i = 0; i < problems.size(); ++i)
+    if (problems[i].group.head) return std::string(selection.families[i]->name);
   return "no head";
 }
 
@@ -30,7 +41,11 @@ TEST(Select, TakesDoublesForProvenConvolutionsOnLavapipe) {
     if (row.stride_y > 8 || row.stride_x > 8) continue;
     row.h += 120 * row.stride_y;
     row.w += 120 * row.stride_x;
-    const std::string kernel = selected(row.graph());
+    // Among those with weights in the code.
+    const std::string kernel =
+        selected(row.graph(), "lavapipe",
+                 {"conv2d_s8_winograd", "conv2d_s8_phase", "conv2d_s8_f64pair",
+                  "conv2d_s8_f32exact", "conv2d_s8_i32"});
     if (row.name == "beyond_float") {
       EXPECT_EQ(kernel, "conv2d_s8_i32");
     } else if (row.name == "beyond_pair" || row.name == "beyond_winograd") {
@@ -62,6 +77,90 @@ TEST(Select, TakesWinogradWhereItsProductsOutweighItsTransforms) {
   EXPECT_EQ(kernel_for(16, 16, 272, 480), "conv2d_s8_winograd");
   EXPECT_EQ(kernel_for(64, 64, 68, 120), "conv2d_s8_f64pair");  // too much for one module
   EXPECT_EQ(kernel_for(32, 16, 272, 480, Source::kUpsample), "conv2d_s8_phase");
+}
+
+/// A 1x1 layer of a classifier: many weights on few pixels.
+Graph classifier_layer(int64_t side, int64_t ic, int64_t oc) {
+  return ConvCase{.name = "layer",
+                  .h = side,
+                  .w = side,
+                  .ic = ic,
+                  .oc = oc,
+                  .kh = 1,
+                  .kw = 1,
+                  .pad = {0, 0, 0, 0},
+                  .weight_min = -30,
+                  .weight_max = 30}
+      .graph();
+}
+
+TEST(Select, SpreadsTheDriversTimeOverTheExpectedRuns) {
+  const auto kernel_for = [](int64_t side, int64_t ic, int64_t oc, double runs) {
+    return selected(classifier_layer(side, ic, oc), "lavapipe", {}, runs);
+  };
+  // 150,000 weights on 49 pixels are never worth code of their own.
+  for (const double runs : {kRunsOfOne, kRunsOfNetwork, kRunsOfFrame})
+    EXPECT_EQ(kernel_for(7, 960, 160, runs), "conv2d_s8_loop") << runs;
+  // 1,024 weights on 14,400 pixels are for a thousand runs, and not for one.
+  EXPECT_EQ(kernel_for(120, 32, 32, kRunsOfOne), "conv2d_s8_loop");
+  EXPECT_EQ(kernel_for(120, 32, 32, kRunsOfNetwork), "conv2d_s8_f64pair");
+  EXPECT_EQ(kernel_for(120, 32, 32, kRunsOfFrame), "conv2d_s8_f64pair");
+}
+
+TEST(Select, BoundsTheCodeOfTheWholeNetwork) {
+  // Layers on ever smaller pictures, each of which alone is worth its code.
+  std::vector<Graph> graphs;
+  for (const int64_t side : {256, 128, 64}) graphs.push_back(classifier_layer(side, 128, 128));
+  std::vector<GroupProblem> problems;
+  for (Graph& graph : graphs)
+    for (GroupProblem& problem : problems_of(graph)) problems.push_back(std::move(problem));
+  ASSERT_EQ(problems.size(), 3u);
+  DeviceProfile profile = *find_profile("lavapipe");
+  const auto names = [&](int64_t most_products) {
+    profile.most_products = most_products;
+    const Selection selection =
+        must(select_kernels(problems, profile, {.expected_runs = kRunsOfFrame}));
+    EXPECT_LE(selection.products, std::max<int64_t>(most_products, 0));
+    std::vector<std::string> taken;
+    for (const KernelFamily* family : selection.families) taken.emplace_back(family->name);
+    return taken;
+  };
+  const std::string code = "conv2d_s8_f64pair", loop = "conv2d_s8_loop";
+  EXPECT_EQ(names(1 << 18), (std::vector<std::string>{code, code, code}));
+  // The code goes first that gains least for a product: that of the smallest picture.
+  EXPECT_EQ(names(2 * 128 * 128), (std::vector<std::string>{code, code, loop}));
+  EXPECT_EQ(names(128 * 128), (std::vector<std::string>{code, loop, loop}));
+  EXPECT_EQ(names(0), (std::vector<std::string>{loop, loop, loop}));
+}
+
+TEST(Select, SaysWhatTheDriverWillTake) {
+  Graph graph = classifier_layer(120, 32, 32);
+  const std::vector<GroupProblem> problems = problems_of(graph);
+  const DeviceProfile& profile = *find_profile("lavapipe");
+  const Selection code = must(select_kernels(problems, profile, {.expected_runs = kRunsOfFrame})),
+                  loop = must(select_kernels(problems, profile, {.expected_runs = kRunsOfOne}));
+  EXPECT_GT(code.products, 900);
+  EXPECT_LE(code.products, 1024);
+  EXPECT_GE(code.driver_us, profile.driver_us_per_product * static_cast<double>(code.products));
+  EXPECT_EQ(loop.products, 0);
+  EXPECT_EQ(loop.driver_us, profile.driver_us_per_module);
+  EXPECT_LT(code.run_us, loop.run_us);
+}
+
+TEST(Select, ObeysChoicesAndPreferences) {
+  Graph graph = classifier_layer(8, 16, 16);
+  const std::vector<GroupProblem> problems = problems_of(graph);
+  const DeviceProfile& profile = *find_profile("lavapipe");
+  const std::string name = graph.value(problems[0].group.result).name;
+  const auto kernel = [&](SelectOptions options) {
+    return must(select_kernels(problems, profile, options)).families[0]->name;
+  };
+  EXPECT_EQ(kernel({.prefer = "conv2d_s8_i32"}), "conv2d_s8_i32");
+  EXPECT_EQ(kernel({.prefer = "conv2d_s8_i32", .choices = {{name, "generic"}}}), "generic");
+  EXPECT_NE(kernel({.prefer = "conv2d_s8_phase"}), "conv2d_s8_phase");  // it cannot
+  const auto refused = select_kernels(problems, profile, {.choices = {{name, "conv2d_s8_phase"}}});
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().text().find("conv2d_s8_phase"), std::string::npos);
 }
 
 TEST(Select, KeepsWeightsInBuffersOnGpus) {

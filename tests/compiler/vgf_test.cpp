@@ -27,7 +27,7 @@ struct Golden {
 std::vector<Golden> golden_containers() {
   std::vector<Golden> files;
   std::error_code error;
-  for (const auto& entry : fs::directory_iterator(SHALE_SHARED_DIR "/golden/vgf", error)) {
+  for (const auto& entry : fs::directory_iterator(SHALE_SOURCE_DIR "/tests/golden/vgf", error)) {
     if (entry.path().extension() != ".vgf") continue;
     fs::path description = entry.path();
     description.replace_extension(".json");

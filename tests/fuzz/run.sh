@@ -8,12 +8,11 @@ shift 2
 here=$(cd "$(dirname "$0")/../.." && pwd)
 corpus=$(mktemp -d)
 trap 'rm -rf "$corpus"' EXIT INT TERM
-golden="$here/../shared/golden/tosa"
+tar -C "$corpus" -xJf "$here/tests/golden/tosa.tar.xz"
+golden="$corpus/tosa"
 find "$here/models" "$golden/graphs" "$golden/container" "$golden/const" -name '*.tosa' -size -64k 2>/dev/null | sort |
   xargs "$build/tests/fuzz/make_seeds" "$corpus"
-for file in "$golden"/../vgf/*.vgf; do
-  [ ! -f "$file" ] || cp "$file" "$corpus/vgf_fuzz"
-done
+cp "$here"/tests/golden/vgf/*.vgf "$corpus/vgf_fuzz"
 for target in "$@"; do
   # A finding lands in the current folder.
   if ! "$build/tests/fuzz/$target" "$corpus/$target" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 \

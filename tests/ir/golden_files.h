@@ -1,4 +1,4 @@
-// tests/ir/golden_files.h -- the .tosa files of the golden cases, which lie beside the repository.
+// tests/ir/golden_files.h -- the .tosa files of the golden cases (tests/golden/tosa.tar.xz, unpacked by CMake).
 #pragma once
 
 #include <algorithm>
@@ -18,7 +18,7 @@ struct GoldenFile {
 /// Sorted by name; empty without the folder.
 inline std::vector<GoldenFile> golden_files() {
   namespace fs = std::filesystem;
-  const fs::path root = fs::path(SHALE_SHARED_DIR) / "golden" / "tosa";
+  const fs::path root = fs::path(SHALE_BINARY_DIR) / "golden" / "tosa";
   std::vector<GoldenFile> files;
   std::error_code error;
   for (fs::recursive_directory_iterator it(root, error), end; !error && it != end;

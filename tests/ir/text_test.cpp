@@ -40,7 +40,7 @@ TEST(Text, RoundTripsAllGoldenGraphs) {
     expect_round_trip(*graph);
     ++count;
   }
-  if (count == 0) GTEST_SKIP() << "no golden cases at ../shared/golden/tosa";
+  EXPECT_GT(count, 0u);
   EXPECT_GE(count, 715u);
 }
 

@@ -51,7 +51,7 @@ TEST(TosaBinary, RoundTripsAllGoldenGraphs) {
     EXPECT_TRUE(write_tosa(*third) == bytes) << file.name;
     ++count;
   }
-  if (count == 0) GTEST_SKIP() << "no golden cases at ../shared/golden/tosa";
+  EXPECT_GT(count, 0u);
   EXPECT_GE(count, 715u);
 }
 
@@ -150,7 +150,7 @@ TEST(TosaBinary, SurvivesRandomDamageOfGoldenFiles) {
     }
     ++count;
   }
-  if (count == 0) GTEST_SKIP() << "no golden cases at ../shared/golden/tosa";
+  EXPECT_GT(count, 0u);
 }
 
 }  // namespace

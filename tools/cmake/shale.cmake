@@ -31,8 +31,7 @@ function(shale_test name)
   # uninitialized members of std::vector in inlined test code, falsely (GCC bug 105562).
   target_compile_options(${name} PRIVATE ${SHALE_WARNINGS} -O1 -Wno-maybe-uninitialized)
   target_compile_definitions(${name} PRIVATE
-    SHALE_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SHALE_BINARY_DIR="${PROJECT_BINARY_DIR}"
-    SHALE_SHARED_DIR="${PROJECT_SOURCE_DIR}/../shared")
+    SHALE_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SHALE_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_link_libraries(${name} PRIVATE ${ARG_DEPENDS} GTest::gtest_main)
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 600)

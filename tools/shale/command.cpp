@@ -247,6 +247,12 @@ void CompileArguments::add_to(CLI::App& app) {
       ->allow_extra_args(false);
   app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");
   app.add_option("--constants", constants, "file of shale fit: constants of the cost model");
+  app.add_option("--expected-runs", expected_runs,
+                 "runs to spread the driver's compile time over: fewer give less code, more give "
+                 "faster runs (default: 1 to run a network, 1000 to compile one alone, 100000 with "
+                 "the passes of a frame)")
+      ->check(CLI::Range(1.0, 1e12))
+      ->default_str("");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -271,6 +277,7 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   CompileOptions options;
   options.targets = targets;
   options.kernels = kernels;
+  options.expected_runs = expected_runs;
   for (const std::string& kernel : kernels)
     if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   if (!choices.empty()) {
@@ -316,6 +323,44 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
     };
   }
   return options;
+}
+
+std::vector<std::string> selection_lines(const Compiled& compiled) {
+  std::vector<std::string> lines;
+  for (size_t i = 0; i < compiled.selections.size(); ++i) {
+    const Selection& selection = compiled.selections[i];
+    std::vector<std::pair<std::string_view, size_t>> counts;  // in the order of first use
+    for (const KernelFamily* family : selection.families) {
+      const auto known = std::find_if(counts.begin(), counts.end(), [&](const auto& count) {
+        return count.first == family->name;
+      });
+      if (known == counts.end())
+        counts.emplace_back(family->name, 1);
+      else
+        ++known->second;
+    }
+    if (counts.empty()) continue;
+    std::string text = compiled.package.variants[i].target + ": ";
+    for (const auto& [name, count] : counts)
+      text += fmt::format("{}{} {}", name == counts.front().first ? "" : ", ", count, name);
+    if (selection.driver_us > 0)
+      text += fmt::format("; the driver compiles for about {:.{}f} s at the first start",
+                          1e-6 * selection.driver_us, selection.driver_us < 1e7 ? 1 : 0);
+    lines.push_back(std::move(text));
+  }
+  return lines;
+}
+
+Json selection_json(const Selection& selection) {
+  Json json{{"kernels", Json::object()},
+            {"products_in_code", selection.products},
+            {"predicted_run_ms", 1e-3 * selection.run_us},
+            {"predicted_driver_s", 1e-6 * selection.driver_us}};
+  for (const KernelFamily* family : selection.families) {
+    Json& count = json["kernels"][std::string(family->name)];
+    count = count.is_null() ? 1 : count.get<int>() + 1;
+  }
+  return json;
 }
 
 Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& options) {

@@ -101,6 +101,7 @@ struct CompileArguments {
   std::vector<std::string> kernels;
   std::string frame, render, output, choices, constants, precision = "int8";
   double ratio = 0;
+  std::optional<double> expected_runs;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
 
@@ -127,6 +128,10 @@ Result<FrameExtent> parse_extent(const std::string& option, const std::string& t
 
 /// NAME=N,H,W,C to a named shape.
 Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text);
+
+/// What was chosen for each variant, and how long the driver will take for it: lines of text, and JSON.
+std::vector<std::string> selection_lines(const Compiled& compiled);
+Json selection_json(const Selection& selection);
 
 /// Compiles with progress on a terminal; errors carry the model's path.
 Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& options);

@@ -27,13 +27,15 @@ Result<int> compile_to_file(const Arguments& arguments) {
     json["passes"].push_back({{"name", timing.pass},
                               {"time_us", timing.time_us},
                               {"changed", timing.change == Change::kChanged}});
-  for (const Variant& variant : compiled.package.variants) {
+  for (size_t i = 0; i < compiled.package.variants.size(); ++i) {
+    const Variant& variant = compiled.package.variants[i];
     size_t dispatches = 0;
     for (const Segment& segment : variant.segments) dispatches += segment.dispatches.size();
     json["variants"].push_back({{"target", variant.target},
                                 {"dispatches", dispatches},
                                 {"modules", variant.modules.size()},
-                                {"arena_bytes", variant.arena_bytes}});
+                                {"arena_bytes", variant.arena_bytes},
+                                {"selection", selection_json(compiled.selections[i])}});
   }
   json["arena_lower_bound_bytes"] = compiled.arena_lower_bound_bytes;
   json["warnings"] = compiled.warnings;
@@ -45,6 +47,7 @@ Result<int> compile_to_file(const Arguments& arguments) {
     fmt::print("{}: {} dispatches, {} modules, arena {} bytes\n",
                variant["target"].get<std::string>(), variant["dispatches"].get<size_t>(),
                variant["modules"].get<size_t>(), variant["arena_bytes"].get<uint64_t>());
+  for (const std::string& line : selection_lines(compiled)) fmt::print("{}\n", line);
   fmt::print("wrote {} ({} bytes)\n", arguments.output, bytes.size());
   if (arguments.timings) {
     for (const PassTiming& timing : compiled.timings)

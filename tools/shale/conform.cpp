@@ -180,7 +180,7 @@ Action add_conform(CLI::App& app) {
   add_device_options(app, arguments->device);
   arguments->compile.add_to(app);
   app.add_flag("--json", arguments->json, "print the result as JSON");
-  app.footer("Example: shale conform ../shared/golden/tosa --backend device --no-passes");
+  app.footer("Example: shale conform build/golden/tosa --backend device --no-passes");
   return [arguments] { return conform(*arguments); };
 }
 

@@ -146,6 +146,7 @@ Result<int> report(ReportArguments arguments) {
   const ModelledDevice own = with_options(*device, arguments.model);
   arguments.budget.tops = own.tops.value;
   arguments.budget.efficiency = own.efficiency.value;
+  if (arguments.passes_ms) arguments.budget.passes_ms = *arguments.passes_ms;
   return arguments.cost_table.empty() ? report_files(arguments) : report_cost_table(arguments);
 }
 
@@ -193,9 +194,12 @@ Action add_report(CLI::App& app) {
   positive(app.add_option("--cache-bytes", model.cache_bytes, "its memory on chip, bytes"));
   app.add_option("--frame-ms", budget.frame_ms, "time for passes and network together")
       ->check(CLI::Range(0.0, 1e6));
-  app.add_option("--passes-ms", budget.passes_ms,
-                 "time of the passes around the network for a result of 1920x1080")
-      ->check(CLI::Range(0.0, 1e6));
+  app.add_option(
+         "--passes-ms", arguments->passes_ms,
+         "time of the passes around the network for a result of 1920x1080, in place of what "
+         "they are modelled to take")
+      ->check(CLI::Range(0.0, 1e6))
+      ->default_str("");
   app.add_option(
          "--convention", arguments->convention,
          "mac: multiply-accumulates; counter_a: also the operations that SRPO's table 1 counts")

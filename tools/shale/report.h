@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,6 +18,8 @@ struct ReportArguments {
   std::string cost_table, row, convention = "mac", device = "mobile", html, csv;
   uint32_t variant = 0;
   Budget budget;
+  std::optional<double>
+      passes_ms;  ///< given for the passes, in place of what they are modelled to take
   ModelOptions model;
   CompileArguments compile;  ///< its shapes and sizes alone
   bool layers = false, json = false;

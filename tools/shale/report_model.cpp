@@ -3,6 +3,7 @@
 
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
+#include "tools/shale/frame_cost.h"
 #include "tools/shale/report.h"
 
 namespace shale {
@@ -44,6 +45,7 @@ Json device_json(const ModelledDevice& device) {
             {"tops", constant_json(device.tops)},
             {"efficiency", constant_json(device.efficiency)},
             {"other_gops", constant_json(device.other_gops)},
+            {"shader_gops", constant_json(device.shader_gops)},
             {"memory_gbps", constant_json(device.memory_gbps)},
             {"cache_bytes", constant_json(device.cache_bytes)},
             {"dispatch_us", constant_json(device.dispatch_us)},
@@ -98,23 +100,21 @@ Json network_json(const ModelledNetwork& network, const ModelledDevice& device) 
   return json;
 }
 
-/// Passes and network of a frame.
-struct FrameTime {
-  double passes_ms = 0, network_ms = 0;
-  double total() const { return passes_ms + network_ms; }
-};
-
 /// The passes' time is stated for a picture of this size, and grows with its pixels.
 constexpr double kStatedPixels = 1920.0 * 1080.0;
 
-Result<FrameTime> frame_time(const ModelFiles& model, CompileOptions options, FrameExtent render,
-                             FrameExtent output, const ModelledDevice& device,
-                             const Budget& budget) {
-  options.sizes = {render, output};
-  SHALE_TRY(Graph graph, shaped_graph(model.bytes, options));
-  SHALE_TRY(graph, fused_graph(std::move(graph), options));
-  return FrameTime{budget.passes_ms * output.width * output.height / kStatedPixels,
-                   1e-3 * model_network(graph, device).time_us};
+/// What --passes-ms or the paper states for the passes of a frame of this size.
+double stated_ms(FrameExtent output, double at_stated_size) {
+  return at_stated_size * output.width * output.height / kStatedPixels;
+}
+
+/// Time of a whole frame; that of the passes as given, or as modelled.
+Result<double> frame_ms(const FrameCost& cost, FrameExtent render, FrameExtent output,
+                        const ModelledDevice& device, const ReportArguments& arguments) {
+  SHALE_TRY(const FrameCost::Modelled at, cost.at({render, output}, device));
+  const double passes_ms =
+      arguments.passes_ms ? stated_ms(output, *arguments.passes_ms) : 1e-3 * at.frame.passes_us;
+  return passes_ms + 1e-3 * at.frame.network_us;
 }
 
 uint32_t divided(uint32_t side, double ratio) {
@@ -128,7 +128,8 @@ FrameExtent step_of(uint32_t k) { return {64 * k, 36 * k}; }
 
 /// The largest result at the frame's ratio, and the least ratio at its size, that fit the budget.
 Result<Json> what_fits(const ModelFiles& model, const CompileOptions& options,
-                       const ModelledDevice& device, const Budget& budget) {
+                       const FrameCost& cost, const ModelledDevice& device,
+                       const ReportArguments& arguments) {
   SHALE_TRY(const auto sizes, frame_sizes(*model.frame, options.sizes));
   const FrameExtent output = sizes.second;
   const double ratio = static_cast<double>(output.width) / sizes.first.width;
@@ -142,9 +143,8 @@ Result<Json> what_fits(const ModelFiles& model, const CompileOptions& options,
   while (above - fitting > 1) {
     const uint32_t middle = (fitting + above) / 2;
     const FrameExtent render = step_of(middle);
-    SHALE_TRY(const FrameTime time,
-              frame_time(model, options, render, output_of(render), device, budget));
-    (time.total() <= budget.frame_ms ? fitting : above) = middle;
+    SHALE_TRY(const double time, frame_ms(cost, render, output_of(render), device, arguments));
+    (time <= arguments.budget.frame_ms ? fitting : above) = middle;
   }
   const bool any = fitting > 0;
   json["largest_output"] = any ? extent_json(output_of(step_of(fitting))) : Json(nullptr);
@@ -156,8 +156,8 @@ Result<Json> what_fits(const ModelFiles& model, const CompileOptions& options,
     CompileOptions tried = options;
     tried.sizes = {render, output};
     if (!frame_sizes(*model.frame, tried.sizes)) continue;
-    SHALE_TRY(const FrameTime time, frame_time(model, options, render, output, device, budget));
-    if (time.total() > budget.frame_ms) continue;
+    SHALE_TRY(const double time, frame_ms(cost, render, output, device, arguments));
+    if (time > arguments.budget.frame_ms) continue;
     json["least_ratio"] = by;
     break;
   }
@@ -196,6 +196,24 @@ Json needs_json(const ModelledNetwork& network, const ModelledDevice& device,
   return json;
 }
 
+void print_frame(const Json& frame, const Budget& budget, bool layers) {
+  const auto number = [](const Json& from, const char* key) { return from[key].get<double>(); };
+  const double total = number(frame, "total_ms");
+  fmt::print("    frame: {:.2f} ms of passes and {:.2f} ms are {:.2f} of {:g} ms: {}\n",
+             number(frame, "passes_ms"), number(frame, "network_ms"), total, budget.frame_ms,
+             frame["fits"].get<bool>()
+                 ? fmt::format("fits, {:.2f} ms to spare", budget.frame_ms - total)
+                 : fmt::format("{:.2f} ms too long", total - budget.frame_ms));
+  if (frame["passes"].empty()) return;
+  if (layers)
+    for (const Json& pass : frame["passes"])
+      fmt::print("      {:<18} {:.2f} ms, {} bound: {:.1f} MB, {:.2f} GOP of shaders\n",
+                 pass["name"].get<std::string>(), number(pass, "time_ms"),
+                 pass["bound"].get<std::string>(), number(pass, "memory_mb"), number(pass, "gop"));
+  fmt::print("    passes by their traffic and operations; the paper takes {:.2f} ms for them\n",
+             number(frame, "stated_passes_ms"));
+}
+
 void print_modelled(const Json& json, const Budget& budget, bool layers) {
   const Json& modelled = json["modelled"];
   const Json& device = modelled["device"];
@@ -224,13 +242,7 @@ void print_modelled(const Json& json, const Budget& budget, bool layers) {
       modelled["dispatches"].size(), modelled["memory_bound"].get<size_t>(),
       number(modelled, "time_ms"), number(modelled, "memory_mb"), number(modelled, "energy_mj"),
       number(modelled, "arena_bytes") / (1024.0 * 1024.0));
-  const double total = number(json["frame"], "total_ms");
-  fmt::print("    frame: {:.2f} ms of passes and {:.2f} ms are {:.2f} of {:g} ms: {}\n",
-             number(json["frame"], "passes_ms"), number(json["frame"], "network_ms"), total,
-             budget.frame_ms,
-             json["frame"]["fits"].get<bool>()
-                 ? fmt::format("fits, {:.2f} ms to spare", budget.frame_ms - total)
-                 : fmt::format("{:.2f} ms too long", total - budget.frame_ms));
+  print_frame(json["frame"], budget, layers);
   if (!json["frame"]["fits"].get<bool>()) {
     const Json& needs = json["frame"]["needs"];
     std::vector<std::string> ways;
@@ -350,61 +362,60 @@ void print_graph(const Json& json, const ReportArguments& arguments) {
   print_verdict(judge(macs, arguments.budget), arguments.budget, 2 * giga(macs));
 }
 
-Result<Json> report_model(const std::string& path, const ReportArguments& arguments) {
-  SHALE_TRY(const ModelFiles model,
-            load_model(path, arguments.compile.frame, arguments.compile.precision));
+Result<Json> report_model(const std::string& path, const ReportArguments& given) {
+  SHALE_TRY(const ModelFiles model, load_model(path, given.compile.frame, given.compile.precision));
   const auto named = [&](const Error& error) { return in_file(model.path, error); };
-  if (model.bytes.empty()) {
-    if (!arguments.json) fmt::print("{}\n  no network: passes alone\n", path);
-    return Json{{"model", model.name},
-                {"macs", 0},
-                {"gop", 0.0},
-                {"frame",
-                 {{"passes_ms", arguments.budget.passes_ms},
-                  {"network_ms", 0.0},
-                  {"total_ms", arguments.budget.passes_ms},
-                  {"fits", arguments.budget.passes_ms <= arguments.budget.frame_ms}}}};
-  }
-  const Result<CompileOptions> options = arguments.compile.options(model);
+  const Result<CompileOptions> options = given.compile.options(model);
   if (!options) return options.error();
-  Result<Graph> graph = shaped_graph(model.bytes, *options);
-  if (!graph) return named(graph.error());
-  Json json{{"model", model.name}};
-  json.update(graph_json(*graph, arguments));
-  Result<Graph> fused = fused_graph(*std::move(graph), *options);
-  if (!fused) return named(fused.error());
-
-  const ModelledDevice* known = find_modelled_device(arguments.device);
+  const ModelledDevice* known = find_modelled_device(given.device);
   if (!known) {
     std::string names;
     for (const ModelledDevice& device : modelled_devices())
       names += (names.empty() ? "" : ", ") + std::string(device.name);
-    return bad_input("--device", "\"{}\" is unknown, expected one of: {}", arguments.device, names);
+    return bad_input("--device", "\"{}\" is unknown, expected one of: {}", given.device, names);
   }
-  const Budget& budget = arguments.budget;
-  const ModelledDevice device = with_options(*known, arguments.model);
-  const ModelledNetwork network = model_network(*fused, device);
-  json["modelled"] = network_json(network, device);
-  double passes_ms = budget.passes_ms;
+  const ModelledDevice device = with_options(*known, given.model);
+  Json json{{"model", model.name}};
+
+  // The frame first: the network gets what its passes leave.
+  ReportArguments arguments = given;
+  Budget& budget = arguments.budget;
+  SHALE_TRY(const FrameCost cost, FrameCost::create(model, *options));
+  const Result<FrameCost::Modelled> modelled = cost.at(options->sizes, device);
+  if (!modelled) return named(modelled.error());
+  const ModelledFrame& frame = modelled->frame;
+  double stated = given.passes_ms.value_or(budget.passes_ms);
   if (model.frame) {
     SHALE_TRY(const auto sizes, frame_sizes(*model.frame, options->sizes));
     json["render"] = extent_json(sizes.first);
     json["output"] = extent_json(sizes.second);
-    passes_ms *= sizes.second.width * static_cast<double>(sizes.second.height) / kStatedPixels;
+    stated = stated_ms(sizes.second, stated);
   }
-  const double network_ms = 1e-3 * network.time_us;
-  Budget own = budget;
-  own.passes_ms = passes_ms;
-  json["frame"] = {{"passes_ms", passes_ms},
-                   {"network_ms", network_ms},
-                   {"total_ms", passes_ms + network_ms},
-                   {"frame_ms", budget.frame_ms},
-                   {"fits", passes_ms + network_ms <= budget.frame_ms},
-                   {"needs", needs_json(network, device, own)}};
+  budget.passes_ms = model.frame && !given.passes_ms ? 1e-3 * frame.passes_us : stated;
+  const double network_ms = 1e-3 * frame.network_us, total_ms = budget.passes_ms + network_ms;
+  json["frame"] = {{"passes_ms", budget.passes_ms}, {"stated_passes_ms", stated},
+                   {"network_ms", network_ms},      {"total_ms", total_ms},
+                   {"frame_ms", budget.frame_ms},   {"fits", total_ms <= budget.frame_ms},
+                   {"passes", passes_json(frame)}};
+  if (!modelled->network) {
+    json["macs"] = 0;
+    json["gop"] = 0.0;
+    if (!arguments.json) {
+      fmt::print("{}\n  no network: passes alone\n", path);
+      print_frame(json["frame"], budget, arguments.layers);
+    }
+    return json;
+  }
+  const ModelledNetwork& network = *modelled->network;
+  Result<Graph> graph = shaped_graph(model.bytes, *options);
+  if (!graph) return named(graph.error());
+  json.update(graph_json(*graph, arguments));
+  json["modelled"] = network_json(network, device);
+  json["frame"]["needs"] = needs_json(network, device, budget);
   if (model.frame &&
       std::any_of(model.frame->tensors.begin(), model.frame->tensors.end(),
                   [](const FrameTensor& tensor) { return tensor.size.has_value(); })) {
-    Result<Json> fits = what_fits(model, *options, device, budget);
+    Result<Json> fits = what_fits(model, *options, cost, device, arguments);
     if (!fits) return named(fits.error());
     json["fits"] = *std::move(fits);
   }

@@ -90,9 +90,12 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
             load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
   model.frame.reset();  // the network alone
   SHALE_TRY(options, arguments.compile.options(model));
+  if (!options->expected_runs)
+    options->expected_runs = std::max(kRunsOfOne, 1.0 * arguments.repeat);
   SHALE_TRY(Compiled compiled, compile_model(model, *options));
   for (const std::string& warning : compiled.warnings)
     fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  for (const std::string& line : selection_lines(compiled)) fmt::print(stderr, "{}\n", line);
   graph = std::move(compiled.graph);
   return std::move(compiled.package);
 }

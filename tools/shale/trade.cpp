@@ -2,7 +2,8 @@
 //
 // A cell is one scene at one scale through one model in one precision. Its quality is measured
 // against the truth and its time on the device; what it would take on a phone comes from the modelled
-// device. Cells lie in the output folder as JSON, so that a run goes on where it was stopped.
+// device. Cells lie in the output folder as JSON, so that a run goes on where it was stopped; each is
+// known by the content of all that makes it: program, scene, model, sizes, device.
 #include <algorithm>
 #include <filesystem>
 #include <set>
@@ -14,6 +15,7 @@
 #include "tools/scene/scene_source.h"
 #include "tools/shale/cost_page.h"
 #include "tools/shale/evaluate.h"
+#include "tools/shale/frame_cost.h"
 #include "tools/shale/report.h"
 #include "tools/shale/source.h"
 
@@ -32,8 +34,6 @@ struct Arguments {
   DeviceArguments tool;
 };
 
-/// Raised when what a cell's figures mean changes, so that older cells are measured again.
-constexpr int kCellVersion = 1;
 constexpr const char* kTradeSchema = "shale-trade/1";
 
 uint64_t hash_text(const std::string& text, uint64_t seed) {
@@ -52,6 +52,12 @@ Result<uint64_t> hash_folder(const fs::path& folder, uint64_t seed) {
     seed = stable_hash(bytes, hash_text(file.filename().string(), seed));
   }
   return seed;
+}
+
+/// Of the running program: what renders, compiles, runs and measures a cell.
+Result<uint64_t> hash_program() {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file("/proc/self/exe"));
+  return stable_hash(bytes);
 }
 
 /// A model in one precision.
@@ -121,7 +127,7 @@ bool offers(const Contender& contender, const Sizes& sizes) {
 
 struct SceneFrames {
   std::string name, path;
-  uint64_t hash = 0;  ///< of the scene
+  uint64_t hash = 0;  ///< of the scene, and of the program that renders it
 };
 
 /// The scene's frames at these sizes, rendered into the folder unless they are there.
@@ -161,24 +167,15 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
 Result<Json> modelled(const Contender& contender, const Sizes& at, const ModelledDevice& device) {
   SHALE_TRY(CompileOptions options, contender.compile().options(contender.files));
   options.sizes = {at.render, at.output};
-  std::optional<Graph> graph;
-  Json json{{"gop", 0.0}, {"network_ms", 0.0}, {"energy_mj", 0.0}};
-  if (!contender.is_baseline()) {
-    SHALE_TRY(graph, shaped_graph(contender.files.bytes, options));
-    SHALE_TRY(const Graph fused, fused_graph(*graph, options));
-    const ModelledNetwork network = model_network(fused, device);
-    json = {{"gop", 2e-9 * static_cast<double>(network.macs)},
-            {"network_ms", 1e-3 * network.time_us},
-            {"energy_mj", 1e-3 * network.energy_uj}};
-  }
-  // The passes move much and compute little: their time is their memory's.
-  const double bytes =
-      pass_bytes(*contender.files.frame, at.render, at.output, graph ? &*graph : nullptr);
-  const size_t passes = shader_passes(*contender.files.frame).size();
-  json["passes_ms"] = 1e-6 * bytes / device.memory_gbps.value +
-                      1e-3 * device.dispatch_us.value * static_cast<double>(passes);
-  json["total_ms"] = json["passes_ms"].get<double>() + json["network_ms"].get<double>();
-  return json;
+  SHALE_TRY(const FrameCost cost, FrameCost::create(contender.files, options));
+  SHALE_TRY(const FrameCost::Modelled modelled, cost.at(options.sizes, device));
+  const bool network = modelled.network.has_value();
+  return Json{{"gop", network ? 2e-9 * static_cast<double>(modelled.network->macs) : 0.0},
+              {"network_ms", 1e-3 * modelled.frame.network_us},
+              {"energy_mj", network ? 1e-3 * modelled.network->energy_uj : 0.0},
+              {"passes_ms", 1e-3 * modelled.frame.passes_us},
+              {"passes", passes_json(modelled.frame)},
+              {"total_ms", 1e-3 * modelled.frame.total_us()}};
 }
 
 double median(std::vector<double> values) {
@@ -334,11 +331,12 @@ Result<int> trade(const Arguments& arguments) {
   const ModelledDevice* device = find_modelled_device(arguments.device);
   if (!device) return bad_input("--model-device", "\"{}\" is unknown", arguments.device);
   SHALE_TRY(const std::vector<Contender> contenders, contenders_of(arguments));
+  SHALE_TRY(const uint64_t program, hash_program());
   std::vector<SceneFrames> scenes;
   for (const std::string& path : arguments.scenes) {
     SHALE_TRY(const Scene scene, load_scene(path));
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-    scenes.push_back({scene.name, path, stable_hash(bytes)});
+    scenes.push_back({scene.name, path, stable_hash(bytes, program)});
   }
   const fs::path cells = fs::path(arguments.folder) / "cells";
   std::error_code error;
@@ -373,14 +371,14 @@ Result<int> trade(const Arguments& arguments) {
         std::vector<PlayedMethod> method;  // made for the first scene that is not there yet
         for (size_t s = 0; s < scenes.size(); ++s) {
           if (!progress.step(done++, all)) return bad_input("", "interrupted; run again to go on");
-          const Json key{{"version", kCellVersion},
-                         {"program", kVersionText},
+          const Json key{{"program", program},
                          {"scene", scenes[s].hash},
                          {"model", contender.hash},
                          {"render", {sizes.render.width, sizes.render.height}},
                          {"output", {output.width, output.height}},
                          {"frames", arguments.frames},
-                         {"device", tool.context().caps.name}};
+                         {"device", tool.context().caps.name},
+                         {"driver", tool.context().caps.driver}};
           const std::string file =
               (cells / fmt::format("{:016x}.json", hash_text(key.dump(), kHashSeed))).string();
           Json cell;
