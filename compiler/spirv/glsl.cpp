@@ -80,7 +80,8 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
   glslang::TShader shader(EShLangCompute);
   const char* text = source.data();
   const int length = static_cast<int>(source.size());
-  const char* name = where.c_str();
+  // glslang writes the name into lines of source: not that of a file or a layer, which may hold anything.
+  const char* name = "shader";
   shader.setStringsWithLengthsAndNames(&text, &length, &name, 1);
   shader.setPreamble(preamble.c_str());
   shader.setEnvInput(glslang::EShSourceGlsl, EShLangCompute, glslang::EShClientVulkan, 100);
