@@ -77,8 +77,8 @@ std::string first_error(const char* log) {
 /// A shader as glslang takes it; the texts outlive it.
 class Shader {
  public:
-  Shader(std::string_view source, const Defines& defines, const std::string& where)
-      : text_(source.data()), length_(static_cast<int>(source.size())), name_(where.c_str()) {
+  Shader(std::string_view source, const Defines& defines)
+      : text_(source.data()), length_(static_cast<int>(source.size())) {
     for (const auto& [name, value] : defines) preamble_ += "#define " + name + " " + value + "\n";
     shader_.setStringsWithLengthsAndNames(&text_, &length_, &name_, 1);
     shader_.setPreamble(preamble_.c_str());
@@ -97,7 +97,8 @@ class Shader {
   const GlslangProcess& process_ = GlslangProcess::started();  // before any shader
   const char* text_;
   int length_;
-  const char* name_;
+  // glslang writes the name into lines of source: not that of a file or a layer, which may hold anything.
+  const char* name_ = "shader";
   std::string preamble_ = "#extension GL_GOOGLE_include_directive : require\n";
   glslang::TShader shader_{EShLangCompute};
 };
@@ -109,7 +110,7 @@ constexpr EShMessages kMessages =
 
 Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
                            const std::string& where, const IncludeLoader& load) {
-  Shader shader(source, defines, where);
+  Shader shader(source, defines);
   const TBuiltInResource limits = resource_limits();
   Includer includer(load);
   if (!shader->parse(&limits, 450, ENoProfile, false, false, kMessages, includer))
@@ -131,7 +132,7 @@ Result<Spirv> compile_glsl(std::string_view source, const Defines& defines,
 
 Result<std::string> preprocess_glsl(std::string_view source, const Defines& defines,
                                     const std::string& where, const IncludeLoader& load) {
-  Shader shader(source, defines, where);
+  Shader shader(source, defines);
   const TBuiltInResource limits = resource_limits();
   Includer includer(load);
   std::string text;

@@ -20,14 +20,21 @@ enum class ErrorCode {
   kIo,           ///< the operating system refused a read or a write
 };
 
-/// One clear sentence: what was found and what was expected; `where` names file, node or offset.
+/// One clear sentence: what was found and what was expected; `where` names file, node or offset, and
+/// `file` the file around it where that is known apart.
 struct Error {
   ErrorCode code = ErrorCode::kBadInput;
   std::string message;
   std::string where;
+  std::string file = {};
 
-  /// "where: message", or the message alone.
-  std::string text() const { return where.empty() ? message : where + ": " + message; }
+  /// "file: where: message", without what is empty.
+  std::string text() const {
+    std::string text = file;
+    for (const std::string& part : {where, message})
+      if (!part.empty()) text += (text.empty() ? "" : ": ") + part;
+    return text;
+  }
 };
 
 template <typename... Args>

@@ -21,10 +21,14 @@ inline constexpr int64_t kMaxGraphBytes = int64_t{1} << 36;
 /// section 1.7.
 Result<TensorType> infer_result(const Graph& graph, NodeId id);
 
-/// Checks the whole graph: names unique and not empty, ids in range, producers before consumers,
-/// one producer a value, constants complete and in range, inputs not constant, every node by its
-/// rule, declared result types equal to the inferred ones. A graph with open dimensions is refused,
-/// naming the first input that needs a shape.
-Result<void> verify(const Graph& graph);
+enum class OpenSizes {
+  kRefused,  ///< the first input that needs a shape is named
+  kAllowed   ///< nodes with an open operand or result are not checked by their rule
+};
+
+/// Checks the whole graph: names unique, not empty and without control characters, ids in range,
+/// producers before consumers, one producer a value, constants complete and in range, inputs not
+/// constant, every node by its rule, declared result types equal to the inferred ones.
+Result<void> verify(const Graph& graph, OpenSizes open = OpenSizes::kRefused);
 
 }  // namespace shale

@@ -200,6 +200,16 @@ OpGraphEndARM
             "%y\n}\n");
 }
 
+TEST(VgfConvert, OpenSizesGoThroughAFile) {
+  const Graph graph = must(parse_text(R"(graph main {
+  input %x : i8[1,?,?,4]
+  %y = bitwise_not %x : i8[1,?,?,4]
+  return %y
+})"));
+  const std::vector<uint8_t> bytes = must(write_vgf(must(graph_to_vgf(graph))));
+  EXPECT_EQ(print_text(must(import_vgf(bytes, {}))), print_text(graph));
+}
+
 TEST(VgfConvert, SegmentsAreChosenByName) {
   Vgf vgf = convolution();
   const auto with = [&](const std::string& name) {

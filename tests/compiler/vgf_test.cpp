@@ -524,7 +524,7 @@ TEST(Vgf, ContradictionsAreRefusedByName) {
       {[](Vgf& v) { v.constants[1].bytes.pop_back(); },
        "constant 1: holds 11 bytes, R32_SINT[3] of resource 5 makes 12"},
       {[](Vgf& v) { v.resources[4].shape[0] = -1; },
-       "constant 0: the shape [-1,8] of resource 4 has no size"},
+       "constant 0: the shape [?,8] of resource 4 has no size"},
       {[](Vgf& v) {
          v.resources[4].shape = {INT64_MAX, INT64_MAX};
        },
@@ -607,7 +607,7 @@ TEST(Vgf, TheListingShowsEveryPart) {
         "0 GRAPH \"g\", entry point \"main\", SPIRV, 5 words, version 0x00010600, bound 8",
         "1 COMPUTE \"text\", entry point \"main\", GLSL, 15 characters:", "\"void main() {}\"",
         "3 COMPUTE \"later\", entry point \"main\", SPIRV, a placeholder",
-        "0 INPUT        R8_SINT[1,-1,4,2] descriptor TENSOR_ARM\n",
+        "0 INPUT        R8_SINT[1,?,4,2] descriptor TENSOR_ARM\n",
         "R8_SINT[1,4,4,2] descriptor TENSOR_ARM strides [32,8,2,1] alias group 5",
         "sampler: min filter 1, mag filter 0, address mode u 2, address mode v 3, border color 4",
         "0 resource 4, 24 bytes at 0, 2:4 sparse along dimension 1, begins 09000009",

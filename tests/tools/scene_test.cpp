@@ -593,7 +593,7 @@ class DatasetTest : public testing::Test {
 TEST_F(DatasetTest, ReadsBackWhatItWrote) {
   const std::string json = write_sequence();
   EXPECT_EQ(must(dataset_sequences(root_.string())), std::vector<std::string>{json});
-  EXPECT_TRUE(fs::exists(root_ / "x1.5/color/0003/0001.exr"));
+  EXPECT_TRUE(fs::exists(root_ / "x1_5/color/0003/0001.exr"));
   const auto source = must(DatasetSource::open(json));
   EXPECT_EQ(source->name(), "0003");
   EXPECT_EQ(source->frame_count(), 2u);
@@ -645,7 +645,7 @@ TEST_F(DatasetTest, ValuesOfPicturesMayBeAnything) {
 
 TEST_F(DatasetTest, RefusesFilesThatAreNotAsExpected) {
   const std::string json = write_sequence();
-  const std::string color = (root_ / "x1.5/color/0003/0001.exr").string();
+  const std::string color = (root_ / "x1_5/color/0003/0001.exr").string();
   const auto read = [&] { return error_text(must(DatasetSource::open(json))->frame(1, true)); };
 
   must(write_exr(color, random_image({12, 9}, 3, 0, 1, 1), ExrPrecision::kHalf));
@@ -666,8 +666,9 @@ TEST_F(DatasetTest, RefusesFilesThatAreNotAsExpected) {
     must(write_file(color, bytes));
     (void)read();
   }
+  // Frames end where the pictures do.
   fs::remove(color);
-  EXPECT_NE(read().find(color), std::string::npos);
+  EXPECT_EQ(must(DatasetSource::open(json))->frame_count(), 1u);
 
   replace_in(json, "\"FovY\": 0.8", "\"FovY\": \"0.8");
   EXPECT_EQ(error_text(DatasetSource::open(json)), json + ": is not a JSON object");
@@ -685,7 +686,7 @@ TEST_F(DatasetTest, RefusesSequencesThatBreakTheRules) {
        "sequence.Frames[0]: \"CameraFarPlane\" is 0.05, expected more than the near plane, "
        "0.10000000149011612, or -1"},
       {"\"x1_5_index\": 0", "\"x1_5_index\": 4",
-       "sequence.Frames[0]: \"NormalizedPerRatioJitter\" has 1 entries, ratio x1.5 is 4"},
+       "sequence.Frames[0]: \"NormalizedPerRatioJitter\" has 1 entries, ratio 1.5 is 4"},
       {"\"CameraCut\": false", "\"CameraCut\": 1",
        "sequence.Frames[0]: \"CameraCut\" is 1, expected true or false"},
   };
@@ -698,7 +699,83 @@ TEST_F(DatasetTest, RefusesSequencesThatBreakTheRules) {
   replace_in(json, "\"Exposure\"", "\"Exposur\"");
   EXPECT_NEAR(must(must(DatasetSource::open(json))->frame(0, false)).camera.exposure, std::exp(2.0),
               1e-5);
-  EXPECT_NE(error_text(DatasetSource::open(json, "2x")).find("\"2x\" is none"), std::string::npos);
+  EXPECT_EQ(error_text(DatasetSource::open(json, 2)),
+            json + ": has no pictures of ratio 2, it has x1_5");
+}
+
+TEST_F(DatasetTest, TakesTheRatioThatIsNamedOrTwoOrTheOnlyOne) {
+  const std::string json = write_sequence();
+  EXPECT_EQ(must(DatasetSource::open(json))->render_size(), (Extent{12, 8}));
+  // What the sequence lists says nothing of what is there.
+  replace_in(json, "\"x1_5_index\": 0", "\"x1_3_index\": 7, \"x2_index\": 1, \"x1_5_index\": 0");
+  EXPECT_EQ(must(DatasetSource::open(json))->render_size(), (Extent{12, 8}));
+  const auto add = [&](const char* ratio, Extent size) {
+    for (uint32_t i = 0; i < 2; ++i)
+      for (const auto& [kind, channels] :
+           {std::pair{"color", 3u}, std::pair{"depth", 1u}, std::pair{"motion", 2u}}) {
+        const fs::path folder = root_ / ratio / kind / "0003";
+        fs::create_directories(folder);
+        must(write_exr((folder / fmt::format("{:04}.exr", i)).string(),
+                       random_image(size, channels, 0, 1, i), ExrPrecision::kFloat));
+      }
+  };
+  add("x1.3", {13, 9});  // 18 / 1.3 is 13.8, 12 / 1.3 is 9.2: rounded down
+  EXPECT_EQ(error_text(DatasetSource::open(json)),
+            json + ": has pictures of several ratios, choose one with --ratio: x1.3, x1_5");
+  EXPECT_EQ(
+      error_text(DatasetSource::open(json, 1.3)),
+      json + ": sequence.Frames[0]: \"NormalizedPerRatioJitter\" has 1 entries, ratio 1.3 is 7");
+  replace_in(json, "\"x1_3_index\": 7", "\"x1_3_index\": 0");
+  EXPECT_EQ(must(DatasetSource::open(json, 1.3))->render_size(), (Extent{13, 9}));
+  EXPECT_EQ(must(must(DatasetSource::open(json, 1.3))->frame(1, true)).color.width, 13u);
+  add("x2", {9, 6});
+  replace_in(json, "\"x2_index\": 1", "\"x2_index\": 0");
+  EXPECT_EQ(must(DatasetSource::open(json))->render_size(), (Extent{9, 6}));
+  EXPECT_EQ(must(DatasetSource::open(json, 1.5))->render_size(), (Extent{12, 8}));
+  add("x3", {6, 6});
+  EXPECT_EQ(
+      error_text(DatasetSource::open(json, 3)),
+      (root_ / "x3/color/0003/0000.exr").string() + ": has 6x6 pixels, 18x12 at ratio 3 makes 6x4");
+}
+
+TEST_F(DatasetTest, ReadsWhatOtherToolsCapture) {
+  const std::string before = write_sequence();
+  const std::string json = (root_ / "00012_camcut.json").string();
+  fs::rename(before, json);
+  for (const char* folder : {"x1_5/color", "x1_5/depth", "x1_5/motion", "ground_truth"})
+    fs::rename(root_ / folder / "0003", root_ / folder / "00012_camcut");
+  EXPECT_EQ(must(dataset_sequences(root_.string())), std::vector<std::string>{json});
+  // Planes once for the sequence, jitter under its older name.
+  std::string text = must(read_text(json));
+  for (const auto& [from, to] : {std::pair{"\"CameraNearPlane\"", "\"Unused1\""},
+                                 {"\"CameraFarPlane\"", "\"Unused2\""},
+                                 {"\"NormalizedPerRatioJitter\"", "\"QuantisedPerRatioJitter\""}})
+    for (size_t at; (at = text.find(from)) != std::string::npos;)
+      text.replace(at, std::string(from).size(), to);
+  must(write_text(json, "{\"NearPlane\": 0.25, \"FarPlane\": -1," + text.substr(1)));
+  const auto source = must(DatasetSource::open(json));
+  const SourceFrame frame = must(source->frame(1, true));
+  EXPECT_EQ(frame.camera.near_plane, 0.25f);
+  EXPECT_EQ(frame.camera.far_plane, 0);
+  EXPECT_NEAR(frame.camera.jitter[0], 0.0625f, 1e-6);
+  EXPECT_FALSE(frame.truth.empty());
+  // More rows than pictures of one kind.
+  fs::remove(root_ / "x1_5/motion/00012_camcut/0001.exr");
+  EXPECT_EQ(must(DatasetSource::open(json))->frame_count(), 1u);
+  fs::remove(root_ / "x1_5/motion/00012_camcut/0000.exr");
+  EXPECT_NE(error_text(DatasetSource::open(json)).find("holds no picture"), std::string::npos);
+}
+
+TEST_F(DatasetTest, NamesOfRatiosGiveReadersTheRenderSize) {
+  const struct {
+    Extent render, output;
+    const char* folder;
+  } kCases[]{{{960, 540}, {1920, 1080}, "x2"},    {{640, 360}, {1920, 1080}, "x3"},
+             {{1280, 720}, {1920, 1080}, "x1_5"}, {{1476, 830}, {1920, 1080}, "x1_3"},
+             {{8, 8}, {15, 15}, "x1_8"},          {{1129, 635}, {1920, 1080}, "x1_7"}};
+  for (const auto& test : kCases)
+    EXPECT_EQ(ratio_folder(ratio_of_sizes(test.render, test.output)), test.folder)
+        << test.render.width;
 }
 
 // --- The program ---

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <filesystem>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "ir/base/file.h"
@@ -23,20 +25,6 @@ constexpr double kDefaultExposure = 7.38905609893065;
 
 std::string number_text(uint32_t number) { return fmt::format("{:04}", number); }
 
-/// 2, 1.5, 1.7: at most three decimals, none that are 0.
-std::string ratio_text(double ratio) {
-  std::string text = fmt::format("{:.3f}", ratio);
-  while (text.back() == '0') text.pop_back();
-  if (text.back() == '.') text.pop_back();
-  return text;
-}
-
-/// A ratio in the name of a JSON key: x1_5_index.
-std::string ratio_key(std::string folder) {
-  std::replace(folder.begin(), folder.end(), '.', '_');
-  return folder + "_index";
-}
-
 /// The number in "x1.5" or "x1_5"; 0 if it is none.
 double ratio_of(std::string folder) {
   std::replace(folder.begin(), folder.end(), '_', '.');
@@ -47,27 +35,38 @@ double ratio_of(std::string folder) {
   return error == std::errc() && at == end && value >= 1 && value <= 16 ? value : 0;
 }
 
-Result<void> make_folder(const fs::path& path) {
-  std::error_code error;
-  fs::create_directories(path, error);
-  if (error) return io_error(path.string(), "cannot create: {}", error.message());
-  return {};
+bool same_ratio(double a, double b) { return std::abs(a - b) < 1e-6; }
+
+/// The place of a ratio in lists by ratio, where the sequence tells it.
+Result<std::optional<size_t>> ratio_index(const Fields& root, double ratio) {
+  if (!root.has("UpscalingRatiosIndices")) return std::optional<size_t>();
+  const Fields indices = root.child("UpscalingRatiosIndices");
+  if (!indices.json().is_object())
+    return bad_input(root.where(), "\"UpscalingRatiosIndices\" is no object");
+  constexpr std::string_view kSuffix = "_index";
+  for (const auto& [key, value] : indices.json().items()) {
+    if (!key.ends_with(kSuffix) ||
+        !same_ratio(ratio_of(key.substr(0, key.size() - kSuffix.size())), ratio))
+      continue;
+    SHALE_TRY(const int64_t index, indices.integer(key.c_str(), 0, 63));
+    return std::optional(static_cast<size_t>(index));
+  }
+  return std::optional<size_t>();
 }
 
-Result<std::array<float, 2>> parse_jitter(const Fields& frame, const Fields& root,
-                                          const std::string& ratio, Extent render) {
+Result<std::array<float, 2>> parse_jitter(const Fields& frame, std::optional<size_t> index,
+                                          double ratio, Extent render) {
   constexpr double kSlack = 1 + 1e-3;  // the quotient was rounded
-  if (frame.has("NormalizedPerRatioJitter")) {
-    SHALE_TRY(const std::vector<Fields> all, frame.list("NormalizedPerRatioJitter", 64));
-    int64_t index = 0;
-    if (root.has("UpscalingRatiosIndices")) {
-      const Fields indices = root.child("UpscalingRatiosIndices");
-      SHALE_TRY(index, indices.integer(ratio_key(ratio).c_str(), 0, 63));
-    }
-    if (static_cast<size_t>(index) >= all.size())
-      return bad_input(frame.where(), "\"NormalizedPerRatioJitter\" has {} entries, ratio {} is {}",
-                       all.size(), ratio, index);
-    const Fields& entry = all[static_cast<size_t>(index)];
+  for (const char* key : {"NormalizedPerRatioJitter", "QuantisedPerRatioJitter"}) {
+    if (!frame.has(key)) continue;
+    SHALE_TRY(const std::vector<Fields> all, frame.list(key, 64));
+    // One entry needs no index; without one for the ratio the plain jitter has to do.
+    const size_t at = index.value_or(all.size() == 1 ? 0 : SIZE_MAX);
+    if (!index && at >= all.size() && frame.has("Jitter")) continue;
+    if (at >= all.size())
+      return bad_input(frame.where(), "\"{}\" has {} entries, ratio {} is {}", key, all.size(),
+                       ratio, index ? std::to_string(*index) : "not in UpscalingRatiosIndices");
+    const Fields& entry = all[at];
     const double x = 0.5 / render.width * kSlack, y = 0.5 / render.height * kSlack;
     SHALE_TRY(const double jx, entry.number("X", -x, x));
     SHALE_TRY(const double jy, entry.number("Y", -y, y));
@@ -83,13 +82,16 @@ Result<std::array<float, 2>> parse_jitter(const Fields& frame, const Fields& roo
 }
 
 Result<FrameCamera> parse_frame_camera(const Fields& frame, const Fields& root,
-                                       const std::string& ratio, Extent render) {
+                                       std::optional<size_t> index, double ratio, Extent render) {
   constexpr double kPi = 3.1415926;
   FrameCamera camera;
   SHALE_TRY(const double fov_x, frame.number("FovX", 1e-3, kPi));
   SHALE_TRY(const double fov_y, frame.number("FovY", 1e-3, kPi));
-  SHALE_TRY(const double near, frame.number("CameraNearPlane", 1e-9, kHuge));
-  SHALE_TRY(const double far, frame.number("CameraFarPlane", -1, kHuge));
+  // Older captures tell them once.
+  const bool once = !frame.has("CameraNearPlane") && root.has("NearPlane");
+  const Fields& planes = once ? root : frame;
+  SHALE_TRY(const double near, planes.number(once ? "NearPlane" : "CameraNearPlane", 1e-9, kHuge));
+  SHALE_TRY(const double far, planes.number(once ? "FarPlane" : "CameraFarPlane", -1, kHuge));
   if (far > 0 && far <= near)
     return bad_input(frame.where(),
                      "\"CameraFarPlane\" is {}, expected more than the near plane, "
@@ -99,7 +101,7 @@ Result<FrameCamera> parse_frame_camera(const Fields& frame, const Fields& root,
   camera.fov_y = static_cast<float>(fov_y);
   camera.near_plane = static_cast<float>(near);
   camera.far_plane = far > 0 ? static_cast<float>(far) : 0;
-  SHALE_TRY(camera.jitter, parse_jitter(frame, root, ratio, render));
+  SHALE_TRY(camera.jitter, parse_jitter(frame, index, ratio, render));
   SHALE_TRY(const double exposure, frame.number("Exposure", 1e-9, 1e9, kDefaultExposure));
   camera.exposure = static_cast<float>(exposure);
   SHALE_TRY(camera.cut, frame.flag("CameraCut", false));
@@ -113,23 +115,50 @@ Result<FrameCamera> parse_frame_camera(const Fields& frame, const Fields& root,
 
 }  // namespace
 
-std::string ratio_folder(Extent render, Extent output) {
-  return "x" + ratio_text(static_cast<double>(output.width) / render.width);
+double ratio_of_sizes(Extent render, Extent output) {
+  const double exact = static_cast<double>(output.width) / render.width;
+  const auto gives = [&](double ratio, bool or_nearest) {
+    const auto side = [&](uint32_t from, uint32_t to) {
+      return std::floor(from / ratio) == to || (or_nearest && std::lround(from / ratio) == to);
+    };
+    return side(output.width, render.width) && side(output.height, render.height);
+  };
+  const auto rounded = [&](double unit) { return std::round(exact * unit) / unit; };
+  for (const bool or_nearest : {false, true})
+    for (const double unit : {1.0, 10.0, 100.0, 1000.0})
+      if (gives(rounded(unit), or_nearest)) return rounded(unit);
+  return rounded(1000);
+}
+
+std::string ratio_folder(double ratio) {
+  std::string text = fmt::format("x{:.3f}", ratio);
+  while (text.back() == '0') text.pop_back();
+  if (text.back() == '.') text.pop_back();
+  std::replace(text.begin(), text.end(), '.', '_');
+  return text;
+}
+
+bool is_sequence_file(const std::string& path) {
+  const std::string stem = fs::path(path).stem().string();
+  const size_t digits = std::min(stem.find_first_not_of("0123456789"), stem.size());
+  return fs::path(path).extension() == ".json" && digits >= 4 &&
+         (digits == stem.size() || stem[digits] == '_');
 }
 
 Result<DatasetWriter> DatasetWriter::create(const std::string& root, const SequenceInfo& info) {
   DatasetWriter writer(root, info);
-  const std::string ratio = ratio_folder(info.render, info.output);
+  if (info.ratio == 0) writer.info_.ratio = ratio_of_sizes(info.render, info.output);
+  const std::string ratio = ratio_folder(writer.info_.ratio);
   const std::string name = number_text(info.number);
   for (const std::string& folder :
        {std::string("ground_truth"), std::string("motion_gt"), std::string("depth_gt"),
         ratio + "/color", ratio + "/depth", ratio + "/motion"})
-    SHALE_TRY_VOID(make_folder(fs::path(root) / folder / name));
+    SHALE_TRY_VOID(make_folder((fs::path(root) / folder / name).string()));
   return writer;
 }
 
 Result<void> DatasetWriter::add(const SourceFrame& frame) {
-  const fs::path root(root_), ratio = root / ratio_folder(info_.render, info_.output);
+  const fs::path root(root_), ratio = root / ratio_folder(info_.ratio);
   const fs::path file = fs::path(number_text(info_.number)) /
                         (number_text(static_cast<uint32_t>(cameras_.size())) + ".exr");
   const auto write = [&](const fs::path& folder, const FloatImage& image,
@@ -148,14 +177,13 @@ Result<void> DatasetWriter::add(const SourceFrame& frame) {
 }
 
 Result<void> DatasetWriter::finish() {
-  const std::string ratio = ratio_folder(info_.render, info_.output);
   OrderedJson json{
       {"Version", "1.0.1"},
       {"EmulatedFramerate", info_.frame_rate},
       {"TargetResolution", {{"X", info_.output.width}, {"Y", info_.output.height}}},
       {"Samples", {{"Sequence", "Halton"}, {"Count", info_.jitter_phases}, {"Quantized", true}}},
       {"ReverseZ", !cameras_.empty() && cameras_[0].reverse_depth},
-      {"UpscalingRatiosIndices", {{ratio_key(ratio), 0}}},
+      {"UpscalingRatiosIndices", {{ratio_folder(info_.ratio) + "_index", 0}}},
       {"Frames", OrderedJson::array()}};
   for (size_t i = 0; i < cameras_.size(); ++i) {
     const FrameCamera& c = cameras_[i];
@@ -178,20 +206,77 @@ Result<void> DatasetWriter::finish() {
 }
 
 Result<std::unique_ptr<DatasetSource>> DatasetSource::open(const std::string& json_path,
-                                                           const std::string& ratio) {
+                                                           double ratio) {
   SHALE_TRY(const std::string text, read_text(json_path));
   auto source = std::unique_ptr<DatasetSource>(new DatasetSource());
   source->root_ = fs::path(json_path).parent_path().string();
   source->name_ = fs::path(json_path).stem().string();
   if (Result<void> parsed = source->parse(text, ratio); !parsed) {
+    // That of a picture names the picture.
     Error error = parsed.error();
-    error.where = error.where.empty() ? json_path : json_path + ": " + error.where;
+    if (error.where == "sequence" || error.where.starts_with("sequence.") || error.where.empty())
+      error.file = json_path;
     return error;
   }
   return source;
 }
 
-Result<void> DatasetSource::parse(const std::string& text, const std::string& ratio) {
+Result<void> DatasetSource::choose_ratio(double wanted) {
+  std::map<double, std::string> folders;  // those that hold this sequence
+  std::error_code error;
+  fs::directory_iterator it(root_.empty() ? "." : root_, error);
+  for (; !error && it != fs::directory_iterator(); it.increment(error)) {
+    const std::string folder = it->path().filename().string();
+    const double ratio = ratio_of(folder);
+    std::error_code ignored;
+    if (ratio == 0 || !fs::is_directory(it->path() / "color" / name_, ignored)) continue;
+    const auto [known, is_new] = folders.emplace(ratio, folder);
+    if (!is_new && folder == ratio_folder(ratio)) known->second = folder;
+  }
+  if (error) return io_error(root_, "cannot list: {}", error.message());
+  std::string list;
+  for (const auto& [ratio, folder] : folders) list += (list.empty() ? "" : ", ") + folder;
+  if (folders.empty())
+    return bad_input("", "has no pictures beside it, expected a folder such as x2/color/{}", name_);
+  const double asked = wanted != 0 ? wanted : 2;
+  for (const auto& [ratio, folder] : folders)
+    if (same_ratio(ratio, asked) || (wanted == 0 && folders.size() == 1)) {
+      ratio_ = ratio;
+      folder_ = folder;
+      return {};
+    }
+  if (wanted != 0) return bad_input("", "has no pictures of ratio {}, it has {}", wanted, list);
+  return bad_input("", "has pictures of several ratios, choose one with --ratio: {}", list);
+}
+
+Result<void> DatasetSource::measure_pictures() {
+  size_t count = kMaxFrames;
+  for (const char* kind : {"color", "depth", "motion"}) {
+    const std::string folder = (fs::path(root_) / folder_ / kind / name_).string();
+    std::error_code error;
+    size_t pictures = 0;
+    fs::directory_iterator it(folder, error);
+    for (; !error && it != fs::directory_iterator(); it.increment(error))
+      pictures += it->path().extension() == ".exr" ? 1 : 0;
+    if (error) return io_error(folder, "cannot list: {}", error.message());
+    if (pictures == 0) return bad_input(folder, "holds no picture, expected such as 0000.exr");
+    count = std::min(count, pictures);
+  }
+  if (cameras_.size() > count) cameras_.resize(count);
+  const std::string first = picture(folder_ + "/color", 0);
+  SHALE_TRY(render_, exr_size(first));
+  const auto fits = [&](uint32_t side, uint32_t of) {
+    const double exact = of / ratio_;
+    return std::abs(side - std::floor(exact)) <= 1 || std::abs(side - std::round(exact)) <= 1;
+  };
+  if (!fits(render_.width, output_.width) || !fits(render_.height, output_.height))
+    return bad_input(first, "has {}x{} pixels, {}x{} at ratio {} makes {}x{}", render_.width,
+                     render_.height, output_.width, output_.height, ratio_,
+                     std::floor(output_.width / ratio_), std::floor(output_.height / ratio_));
+  return {};
+}
+
+Result<void> DatasetSource::parse(const std::string& text, double ratio) {
   const nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
   if (json.is_discarded() || !json.is_object()) return bad_input("", "is not a JSON object");
   const Fields root(json, "sequence");
@@ -201,37 +286,24 @@ Result<void> DatasetSource::parse(const std::string& text, const std::string& ra
   SHALE_TRY(const int64_t width, target.integer("X", 1, kMaxSide));
   SHALE_TRY(const int64_t height, target.integer("Y", 1, kMaxSide));
   output_ = {static_cast<uint32_t>(width), static_cast<uint32_t>(height)};
-  ratio_ = ratio;
-  if (ratio_.empty() && root.has("UpscalingRatiosIndices") &&
-      root.json()["UpscalingRatiosIndices"].is_object()) {
-    for (const auto& [key, index] : root.json()["UpscalingRatiosIndices"].items()) {
-      if (!key.ends_with("_index") || ratio_of(key.substr(0, key.size() - 6)) == 0) continue;
-      ratio_ = "x" + ratio_text(ratio_of(key.substr(0, key.size() - 6)));
-      break;
-    }
-  }
-  if (ratio_.empty()) ratio_ = "x2";
-  const double factor = ratio_of(ratio_);
-  if (factor == 0) return bad_input("ratio", "\"{}\" is none, expected such as x2 or x1.5", ratio_);
-  render_ = {static_cast<uint32_t>(std::lround(output_.width / factor)),
-             static_cast<uint32_t>(std::lround(output_.height / factor))};
-  if (render_.width == 0 || render_.height == 0)
-    return bad_input("sequence", "{}x{} is too small for ratio {}", width, height, ratio_);
   SHALE_TRY(frame_rate_, root.number("EmulatedFramerate", 1e-3, 1e6, 30.0));
   SHALE_TRY(const bool reverse, root.flag("ReverseZ", false));
   SHALE_TRY(const std::vector<Fields> frames, root.list("Frames", kMaxFrames));
   if (frames.empty()) return bad_input("sequence", "\"Frames\" is empty, expected at least 1");
-  for (const Fields& frame : frames) {
-    SHALE_TRY(FrameCamera camera, parse_frame_camera(frame, root, ratio_, render_));
-    camera.reverse_depth = reverse;
+  SHALE_TRY_VOID(choose_ratio(ratio));
+  cameras_.resize(frames.size());
+  SHALE_TRY_VOID(measure_pictures());
+  SHALE_TRY(const std::optional<size_t> index, ratio_index(root, ratio_));
+  for (size_t i = 0; i < cameras_.size(); ++i) {
+    SHALE_TRY(cameras_[i], parse_frame_camera(frames[i], root, index, ratio_, render_));
+    cameras_[i].reverse_depth = reverse;
     // Nothing is continued from before a sequence.
-    camera.cut = camera.cut || cameras_.empty();
-    cameras_.push_back(camera);
+    cameras_[i].cut = cameras_[i].cut || i == 0;
   }
   return {};
 }
 
-std::string DatasetSource::picture(const char* folder, uint32_t index) const {
+std::string DatasetSource::picture(const std::string& folder, uint32_t index) const {
   return (fs::path(root_) / folder / name_ / (number_text(index) + ".exr")).string();
 }
 
@@ -240,9 +312,9 @@ Result<SourceFrame> DatasetSource::frame(uint32_t index, bool with_truth) {
     return bad_input(name_, "frame {} is asked for, the sequence has {}", index, cameras_.size());
   SourceFrame frame;
   frame.camera = cameras_[index];
-  SHALE_TRY(frame.color, read_exr(picture((ratio_ + "/color").c_str(), index), 3, render_));
-  SHALE_TRY(frame.depth, read_exr(picture((ratio_ + "/depth").c_str(), index), 1, render_));
-  SHALE_TRY(frame.motion, read_exr(picture((ratio_ + "/motion").c_str(), index), 2, render_));
+  SHALE_TRY(frame.color, read_exr(picture(folder_ + "/color", index), 3, render_));
+  SHALE_TRY(frame.depth, read_exr(picture(folder_ + "/depth", index), 1, render_));
+  SHALE_TRY(frame.motion, read_exr(picture(folder_ + "/motion", index), 2, render_));
   if (!with_truth) return frame;
   std::error_code ignored;
   if (const std::string path = picture("ground_truth", index); fs::exists(path, ignored)) {
@@ -262,10 +334,7 @@ Result<std::vector<std::string>> dataset_sequences(const std::string& root) {
   std::error_code error;
   fs::directory_iterator it(root, error);
   for (; !error && it != fs::directory_iterator(); it.increment(error)) {
-    const std::string stem = it->path().stem().string();
-    const bool digits = !stem.empty() && std::all_of(stem.begin(), stem.end(),
-                                                     [](char c) { return c >= '0' && c <= '9'; });
-    if (digits && it->path().extension() == ".json") paths.push_back(it->path().string());
+    if (is_sequence_file(it->path().string())) paths.push_back(it->path().string());
   }
   if (error) return io_error(root, "cannot list: {}", error.message());
   if (paths.empty()) return bad_input(root, "holds no sequence, expected files such as 0000.json");

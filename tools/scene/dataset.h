@@ -3,12 +3,16 @@
 //   ROOT/NNNN.json                     a sequence: cameras, jitter, exposure
 //   ROOT/ground_truth/NNNN/FFFF.exr    half RGB at output size, linear
 //   ROOT/motion_gt/NNNN/FFFF.exr       half RG at output size, uv
-//   ROOT/depth_gt/NNNN/FFFF.exr        float Z at output size; ours, optional
+//   ROOT/depth_gt/NNNN/FFFF.exr        float R at output size; ours, optional
 //   ROOT/x2/color/NNNN/FFFF.exr        half RGB at render size
-//   ROOT/x2/depth/NNNN/FFFF.exr        float Z
+//   ROOT/x2/depth/NNNN/FFFF.exr        float R
 //   ROOT/x2/motion/NNNN/FFFF.exr       half RG, uv
 //
-// The folder is "x" and the ratio of sizes: x1.5, x2, x3. Source: NSS dataset specification.
+// The folder is "x" and the ratio of sizes with an underscore for its point: x1_5, x2, x3; a capture may
+// have several. Render sizes are the output's over the ratio, rounded down. What other tools write
+// otherwise is read too: folders such as x1.5, depth called Z or Y, names of five digits or with a suffix
+// (0002_camcut.json), fewer pictures than entries of "Frames", near and far plane told once for a
+// sequence. Source: NSS dataset specification, and the reader of Arm's neural graphics model gym.
 #pragma once
 
 #include <memory>
@@ -19,14 +23,22 @@
 
 namespace shale {
 
-/// "x2", "x1.5": the folder of a ratio. Widths must not be 0.
-std::string ratio_folder(Extent render, Extent output);
+/// The ratio with the fewest decimals by which a reader finds the render size from the output's. Sides must
+/// not be 0.
+double ratio_of_sizes(Extent render, Extent output);
+
+/// "x2", "x1_5": the folder of a ratio.
+std::string ratio_folder(double ratio);
+
+/// True for a file that is called like a sequence: 0000.json, 00012.json, 0002_camcut.json.
+bool is_sequence_file(const std::string& path);
 
 struct SequenceInfo {
   uint32_t number = 0;  ///< NNNN
   Extent render, output;
   double frame_rate = 30;
   uint32_t jitter_phases = 32;
+  double ratio = 0;  ///< 0: that of the sizes
 };
 
 /// Writes one sequence frame by frame; the JSON comes last, so a sequence without it is incomplete.
@@ -52,14 +64,13 @@ class DatasetWriter {
 };
 
 /// A sequence on disk. Files come from anywhere and are checked. The pictures of the n-th entry of
-/// "Frames", from 0, are called n, whatever its own number.
+/// "Frames", from 0, are called n, whatever its own number; frames end where the pictures do.
 class DatasetSource : public FrameSource {
  public:
-  /// `json_path` is ROOT/NNNN.json. `ratio` is a folder such as "x2"; empty takes the first that
-  /// the sequence lists, or x2.
-  /// Errors: kIo; kBadInput naming file and field.
+  /// `json_path` is ROOT/NNNN.json. `ratio` 0 takes 2 if that is there, else the only one.
+  /// Errors: kIo; kBadInput naming file and field, or the ratios that are there.
   static Result<std::unique_ptr<DatasetSource>> open(const std::string& json_path,
-                                                     const std::string& ratio = "");
+                                                     double ratio = 0);
 
   const std::string& name() const override { return name_; }
   uint32_t frame_count() const override { return static_cast<uint32_t>(cameras_.size()); }
@@ -71,10 +82,14 @@ class DatasetSource : public FrameSource {
 
  private:
   DatasetSource() = default;
-  Result<void> parse(const std::string& text, const std::string& ratio);
-  std::string picture(const char* folder, uint32_t index) const;
+  Result<void> choose_ratio(double wanted);
+  Result<void> measure_pictures();
+  Result<void> parse(const std::string& text, double ratio);
+  std::string picture(const std::string& folder, uint32_t index) const;
 
-  std::string root_, name_, ratio_;
+  std::string root_, name_;
+  std::string folder_;  ///< of the ratio
+  double ratio_ = 0;
   Extent render_, output_;
   double frame_rate_ = 30;
   std::vector<FrameCamera> cameras_;

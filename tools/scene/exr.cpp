@@ -61,7 +61,7 @@ class MemoryIn : public Imf::IStream {
 
 /// Names of a channel, best first, "|" between them.
 std::vector<const char*> channel_names(uint32_t channels) {
-  if (channels == 1) return {"Z|R|Y|V"};
+  if (channels == 1) return {"R|Z|Y|V"};
   if (channels == 2) return {"R|X|U", "G|Y|V"};
   return {"R", "G", "B"};
 }
@@ -81,18 +81,23 @@ float clamped_half(float value) {
   return std::isfinite(value) ? std::clamp(value, -kMost, kMost) : value;
 }
 
-Result<FloatImage> read_from(const std::string& path, const std::vector<uint8_t>& bytes,
-                             uint32_t channels, std::optional<Extent> size) {
-  // Or a few bytes could ask the library for tables of many gigabytes.
-  Imf::Header::setMaxImageSize(kMaxSide, kMaxSide);
-  MemoryIn stream(bytes);
-  Imf::InputFile file(stream, 0);
-  const Imath::Box2i window = file.header().dataWindow();
+Result<Extent> size_in(const std::string& path, const Imf::Header& header) {
+  const Imath::Box2i window = header.dataWindow();
   const int64_t width = int64_t{window.max.x} - window.min.x + 1;
   const int64_t height = int64_t{window.max.y} - window.min.y + 1;
   if (width < 1 || height < 1 || width > kMaxSide || height > kMaxSide ||
       static_cast<uint64_t>(width * height) > kMaxExrPixels)
     return bad_input(path, "has {}x{} pixels, expected 1 to {}", width, height, kMaxExrPixels);
+  return Extent{static_cast<uint32_t>(width), static_cast<uint32_t>(height)};
+}
+
+Result<FloatImage> read_from(const std::string& path, const std::vector<uint8_t>& bytes,
+                             uint32_t channels, std::optional<Extent> size) {
+  MemoryIn stream(bytes);
+  Imf::InputFile file(stream, 0);
+  const Imath::Box2i window = file.header().dataWindow();
+  SHALE_TRY(const Extent found_size, size_in(path, file.header()));
+  const auto [width, height] = found_size;
   if (size && (width != size->width || height != size->height))
     return bad_input(path, "has {}x{} pixels, expected {}x{}", width, height, size->width,
                      size->height);
@@ -101,7 +106,7 @@ Result<FloatImage> read_from(const std::string& path, const std::vector<uint8_t>
   size_t count = 0;
   for (auto it = list.begin(); it != list.end(); ++it, ++count)
     found += fmt::format("{}{}", found.empty() ? "" : ", ", it.name());
-  FloatImage image{static_cast<uint32_t>(width), static_cast<uint32_t>(height), channels, {}};
+  FloatImage image{width, height, channels, {}};
   std::vector<std::string> names;
   for (const char* wanted : channel_names(channels)) {
     std::string name = find_channel(list, wanted);
@@ -114,15 +119,28 @@ Result<FloatImage> read_from(const std::string& path, const std::vector<uint8_t>
       return bad_input(path, "channel {} is sub-sampled", name);
     names.push_back(std::move(name));
   }
-  image.values.resize(static_cast<size_t>(width * height) * channels);
+  image.values.resize(size_t{width} * height * channels);
   Imf::FrameBuffer buffer;
-  const size_t pixel = channels * sizeof(float), row = pixel * static_cast<size_t>(width);
+  const size_t pixel = channels * sizeof(float), row = pixel * width;
   for (size_t c = 0; c < names.size(); ++c)
     buffer.insert(names[c],
                   Imf::Slice::Make(Imf::FLOAT, image.values.data() + c, window, pixel, row));
   file.setFrameBuffer(buffer);
   file.readPixels(window.min.y, window.max.y);
   return image;
+}
+
+/// What `use` makes of the file's bytes; the library's exceptions end here.
+template <typename Use>
+auto decoded(const std::string& path, const Use& use) -> decltype(use(std::vector<uint8_t>())) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  // Or a few bytes could ask the library for tables of many gigabytes.
+  Imf::Header::setMaxImageSize(kMaxSide, kMaxSide);
+  try {
+    return use(bytes);
+  } catch (const std::exception& error) {
+    return bad_input(path, "is no readable OpenEXR picture: {}", error.what());
+  }
 }
 
 std::vector<uint8_t> encoded(const FloatImage& image, ExrPrecision precision) {
@@ -168,12 +186,17 @@ Result<void> write_exr(const std::string& path, const FloatImage& image, ExrPrec
 Result<FloatImage> read_exr(const std::string& path, uint32_t channels,
                             std::optional<Extent> size) {
   SHALE_CHECK(channels >= 1 && channels <= 3);
-  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-  try {
+  return decoded(path, [&](const std::vector<uint8_t>& bytes) {
     return read_from(path, bytes, channels, size);
-  } catch (const std::exception& error) {
-    return bad_input(path, "is no readable OpenEXR picture: {}", error.what());
-  }
+  });
+}
+
+Result<Extent> exr_size(const std::string& path) {
+  return decoded(path, [&](const std::vector<uint8_t>& bytes) {
+    MemoryIn stream(bytes);
+    const Imf::InputFile file(stream, 0);
+    return size_in(path, file.header());
+  });
 }
 
 }  // namespace shale

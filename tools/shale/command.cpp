@@ -1,11 +1,7 @@
 #include "tools/shale/command.h"
 
-#include <unistd.h>
-
-#include <atomic>
 #include <charconv>
 #include <cmath>
-#include <csignal>
 #include <filesystem>
 
 #include "ir/base/file.h"
@@ -16,55 +12,26 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::atomic<bool> interrupt_seen{false};
-
-void install_interrupt_handler() {
-  static const bool installed = [] {
-    // The second Ctrl-C kills as usual.
-    std::signal(SIGINT, [](int) {
-      interrupt_seen = true;
-      std::signal(SIGINT, SIG_DFL);
-    });
-    return true;
-  }();
-  (void)installed;
-}
-
 }  // namespace
-
-bool interrupted() {
-  install_interrupt_handler();
-  return interrupt_seen;
-}
-
-Progress::Progress(std::string label)
-    : label_(std::move(label)), is_terminal_(isatty(STDERR_FILENO) != 0) {
-  install_interrupt_handler();
-}
-
-Progress::~Progress() {
-  if (shown_) fmt::print(stderr, "\r\x1b[K");
-}
-
-bool Progress::step(size_t done, size_t total) {
-  if (is_terminal_) {
-    shown_ = true;
-    fmt::print(stderr, "\r{} {}/{}", label_, done, total);
-    std::fflush(stderr);
-  }
-  return !interrupted();
-}
-
-Error in_file(const std::string& file, Error error) {
-  error.where = error.where.empty() ? file : file + ": " + error.where;
-  return error;
-}
 
 std::string json_text(const Json& json) {
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
 void print_json(const Json& json) { fmt::print("{}", json_text(json)); }
+
+CLI::Validator number_in(double low, double high) {
+  return CLI::Validator(
+      [low, high](std::string& text) {
+        double value = 0;
+        const char* const end = text.data() + text.size();
+        const auto [at, error] = std::from_chars(text.data(), end, value);
+        return error == std::errc() && at == end && value >= low && value <= high
+                   ? std::string()
+                   : fmt::format("\"{}\" is no number from {} to {}", text, low, high);
+      },
+      fmt::format("FLOAT in [{} - {}]", low, high));
+}
 
 void add_precision_option(CLI::App& app, std::string& precision) {
   app.add_option("--precision", precision, "which network of a model folder")
@@ -94,7 +61,7 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
   const std::string stem =
       is_folder ? fs::path(path + "/").lexically_normal().parent_path().filename().string()
                 : fs::path(path).stem().string();
-  model.name = stem.empty() ? "model" : stem;
+  model.name = stem.empty() ? "model" : one_line(stem);
   std::string frame = frame_path;
   if (frame.empty() && is_folder && fs::exists(fs::path(path) / "frame.json", ignored))
     frame = (fs::path(path) / "frame.json").string();
@@ -260,9 +227,11 @@ void CompileArguments::add_to(CLI::App& app) {
   add_precision_option(app, precision);
   app.add_option("--render", render, "size of the rendered frames of a sandwich, WIDTHxHEIGHT");
   auto* size = app.add_option("--output-size", output, "size of its results, WIDTHxHEIGHT");
-  app.add_option("--ratio", ratio, "ratio of the results' sides to the rendered frames'")
+  app.add_option("--ratio", ratio,
+                 "ratio of the results' sides to the rendered frames'; of a dataset, which of its "
+                 "ratios")
       ->excludes(size)
-      ->check(CLI::Range(1.0, 16.0));
+      ->check(number_in(1, 16));
   app.add_option("--dump-after", dump_after, "print the graph after these passes")
       ->delimiter(',')
       ->allow_extra_args(false);

@@ -10,6 +10,7 @@
 
 #include "compiler/driver/compile.h"
 #include "ir/base/result.h"
+#include "tools/shale/terminal.h"
 
 namespace shale {
 
@@ -34,24 +35,8 @@ using Json = nlohmann::ordered_json;
 /// The line of `shale --version`.
 inline constexpr const char* kVersionText = "shale 0.1.0";
 
-/// True once the user has pressed Ctrl-C; long work asks it and stops.
-bool interrupted();
-
-/// A line that shows done/total on a terminal and nothing elsewhere. Erases itself at the end.
-class Progress {
- public:
-  explicit Progress(std::string label);
-  ~Progress();
-  Progress(const Progress&) = delete;
-  Progress& operator=(const Progress&) = delete;
-  /// Returns false if the user interrupted.
-  bool step(size_t done, size_t total);
-
- private:
-  std::string label_;
-  bool is_terminal_;
-  bool shown_ = false;
-};
+/// CLI::Range lets NaN pass.
+CLI::Validator number_in(double low, double high);
 
 /// A model on disk: the bytes, its name, and its sandwich where there is one.
 struct ModelFiles {
@@ -135,9 +120,6 @@ Json selection_json(const Selection& selection);
 
 /// Compiles with progress on a terminal; errors carry the model's path.
 Result<Compiled> compile_model(const ModelFiles& model, const CompileOptions& options);
-
-/// Puts `file` in front of an error's location.
-Error in_file(const std::string& file, Error error);
 
 /// Indented, with a newline at the end. Names come from files: what is not UTF-8 is replaced.
 std::string json_text(const Json& json);

@@ -28,6 +28,7 @@
 #include "ir/verify/verify.h"
 #include "tools/shale/command.h"
 #include "tools/shale/npy.h"
+#include "tools/shale/random_inputs.h"
 
 namespace shale {
 namespace {
@@ -108,8 +109,10 @@ Result<Network> load(const std::string& path, const std::string& precision,
   return network;
 }
 
-/// Waves, edges and some noise, over the whole of the type or -1..1; the same for a seed everywhere.
-Tensor structured_tensor(const TensorType& type, std::mt19937_64& generator) {
+/// Waves, edges and some noise, over the whole of the range; the same for a seed everywhere.
+Tensor structured_tensor(const TensorType& type, const RandomRange& range,
+                         std::mt19937_64& generator) {
+  if (range.distinct > 0) return random_tensor(type, range, generator);
   Tensor tensor = Tensor::zeros(type);
   const Shape& shape = type.shape;
   const int64_t channels = shape.empty() ? 1 : shape.back();
@@ -123,9 +126,8 @@ Tensor structured_tensor(const TensorType& type, std::mt19937_64& generator) {
   for (int64_t c = 0; c < channels; ++c)
     waves.push_back({0.05 + 0.4 * uniform(), 0.05 + 0.4 * uniform(), 6.28 * uniform(),
                      3 + static_cast<int64_t>(10 * uniform())});
-  const IntRange range = is_float(type.dtype) ? IntRange{-1, 1} : dtype_range(type.dtype);
-  const double middle = 0.5 * static_cast<double>(range.min) + 0.5 * static_cast<double>(range.max);
-  const double reach = static_cast<double>(range.max) - middle;
+  const double middle = is_float(type.dtype) ? 0 : 0.5 * range.low + 0.5 * range.high;
+  const double reach = is_float(type.dtype) ? 1 : range.high - middle;
   for (int64_t i = 0; i < tensor.count(); ++i) {
     const Wave& wave = waves[static_cast<size_t>(i % channels)];
     const int64_t x = i / channels % width, y = i / channels / width;
@@ -361,8 +363,9 @@ Result<std::vector<std::vector<Tensor>>> input_sets(const Arguments& arguments,
   if (arguments.input_sets.empty()) {
     std::mt19937_64 generator(arguments.seed);
     std::vector<Tensor>& set = sets.emplace_back();
-    for (const ValueId id : graph.inputs)
-      set.push_back(structured_tensor(graph.value(id).type, generator));
+    SHALE_TRY(const std::vector<RandomRange> ranges, legal_ranges(graph, {}));
+    for (size_t i = 0; i < graph.inputs.size(); ++i)
+      set.push_back(structured_tensor(graph.value(graph.inputs[i]).type, ranges[i], generator));
   }
   for (const std::string& text : arguments.input_sets) {
     const std::vector<std::string> files = CLI::detail::split(text, ',');

@@ -1,6 +1,7 @@
 // shale compile: a model file to a .shale package.
 #include "ir/base/file.h"
 #include "tools/shale/command.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 namespace {
@@ -12,12 +13,13 @@ struct Arguments {
 };
 
 Result<int> compile_to_file(const Arguments& arguments) {
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(const ModelFiles model,
             load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   SHALE_TRY(const Compiled compiled, compile_model(model, options));
-  for (const std::string& warning : compiled.warnings)
-    fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  for (const std::string& warning : compiled.warnings) print_warning(model.path, warning);
   const std::vector<uint8_t> bytes = write_package(compiled.package);
   SHALE_TRY_VOID(write_file(arguments.output, bytes));
 
@@ -43,17 +45,18 @@ Result<int> compile_to_file(const Arguments& arguments) {
     print_json(json);
     return kDone;
   }
+  std::FILE* const summary = summary_stream(arguments.output);
   for (const Json& variant : json["variants"])
-    fmt::print("{}: {} dispatches, {} modules, arena {} bytes\n",
+    fmt::print(summary, "{}: {} dispatches, {} modules, arena {} bytes\n",
                variant["target"].get<std::string>(), variant["dispatches"].get<size_t>(),
                variant["modules"].get<size_t>(), variant["arena_bytes"].get<uint64_t>());
-  for (const std::string& line : selection_lines(compiled)) fmt::print("{}\n", line);
-  fmt::print("wrote {} ({} bytes)\n", arguments.output, bytes.size());
+  for (const std::string& line : selection_lines(compiled)) fmt::print(summary, "{}\n", line);
+  fmt::print(summary, "wrote {} ({} bytes)\n", arguments.output, bytes.size());
   if (arguments.timings) {
     for (const PassTiming& timing : compiled.timings)
-      fmt::print("  {:<18} {:>10.1f} us{}\n", timing.pass, timing.time_us,
+      fmt::print(summary, "  {:<18} {:>10.1f} us{}\n", timing.pass, timing.time_us,
                  timing.change == Change::kChanged ? "  changed" : "");
-    fmt::print("  {:<18} {:>10.1f} us\n", "kernels", 1000 * compiled.kernels_ms);
+    fmt::print(summary, "  {:<18} {:>10.1f} us\n", "kernels", 1000 * compiled.kernels_ms);
   }
   return kDone;
 }

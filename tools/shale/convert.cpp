@@ -8,6 +8,7 @@
 #include "ir/binary/tosa.h"
 #include "ir/text/text.h"
 #include "tools/shale/command.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 namespace {
@@ -85,6 +86,8 @@ Result<std::vector<uint8_t>> convert_model(const Arguments& arguments, const For
 
 Result<int> convert(const Arguments& arguments) {
   SHALE_TRY(const Format* const format, output_format(arguments));
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(const ModelFiles model, load_model(arguments.input, "", arguments.precision));
   Json json{{"input", model.path}, {"output", arguments.output}};
   const Result<std::vector<uint8_t>> bytes =
@@ -97,7 +100,8 @@ Result<int> convert(const Arguments& arguments) {
   if (arguments.json)
     print_json(json);
   else
-    fmt::print("wrote {} ({}, {} bytes)\n", arguments.output, format->name, bytes->size());
+    fmt::print(summary_stream(arguments.output), "wrote {} ({}, {} bytes)\n", arguments.output,
+               format->name, bytes->size());
   return kDone;
 }
 

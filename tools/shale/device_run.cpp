@@ -2,15 +2,25 @@
 
 #include <algorithm>
 #include <chrono>
+#include <filesystem>
 
 #include "compiler/passes/pass.h"
+#include "ir/base/file.h"
 #include "runtime/datagraph/pipeline.h"
 #include "runtime/datagraph/session.h"
 #include "runtime/vk/commands.h"
 #include "runtime/vk/memory.h"
 #include "runtime/vk/timestamps.h"
+#include "tools/shale/terminal.h"
 
 namespace shale {
+
+namespace {
+
+/// Shaders of so many words in all have kept lavapipe busy for some ten seconds.
+constexpr size_t kLongCompileWords = 500000;
+
+}  // namespace
 
 void add_device_options(CLI::App& app, DeviceArguments& device) {
   app.add_option("--device", device.name, "part of the device's name (default: the first device)");
@@ -19,6 +29,27 @@ void add_device_options(CLI::App& app, DeviceArguments& device) {
                "run under the Vulkan validation layer; its messages are failures");
 }
 
+namespace {
+
+/// Why the file is none that a cache may replace: it is there, and is something else.
+std::optional<std::string> not_a_cache(const std::string& path) {
+  std::error_code error;
+  const std::filesystem::file_status status = std::filesystem::status(path, error);
+  if (!std::filesystem::exists(status)) return std::nullopt;
+  if (!std::filesystem::is_regular_file(status)) return "is no regular file";
+  const Result<std::vector<uint8_t>> bytes = read_file(path);
+  if (!bytes) return bytes.error().message;
+  constexpr size_t kMagicBytes = 8;
+  const std::vector<uint8_t> empty_cache = vk::write_cache_blob({}, {});
+  if (std::equal(bytes->begin(),
+                 bytes->begin() + static_cast<ptrdiff_t>(std::min(bytes->size(), kMagicBytes)),
+                 empty_cache.begin()))
+    return std::nullopt;
+  return "holds something else than a pipeline cache";
+}
+
+}  // namespace
+
 Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
   ToolDevice tool;
   SHALE_TRY(vk::Instance instance, vk::Instance::create({.validation = arguments.validation}));
@@ -26,17 +57,29 @@ Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
   SHALE_TRY(const VkPhysicalDevice physical, tool.instance_->find_device(arguments.name));
   SHALE_TRY(vk::Device device, vk::Device::create(physical, tool.instance_->get()));
   tool.device_ = std::make_unique<vk::Device>(std::move(device));
-  if (!arguments.cache.empty()) {
-    SHALE_TRY(vk::PipelineCache cache, vk::PipelineCache::load(tool.context(), arguments.cache));
-    tool.cache_ = std::make_unique<vk::PipelineCache>(std::move(cache));
+  if (arguments.cache.empty()) return tool;
+  if (const std::optional<std::string> why = not_a_cache(arguments.cache)) {
+    print_warning(arguments.cache, "the cache is left out: the file " + *why);
+    return tool;
   }
+  SHALE_TRY(vk::PipelineCache cache, vk::PipelineCache::load(tool.context(), arguments.cache));
+  tool.cache_ = std::make_unique<vk::PipelineCache>(std::move(cache));
+  tool.cache_file_ = arguments.cache;
   return tool;
+}
+
+ToolDevice::~ToolDevice() {
+  if (!cache_) return;
+  // A result may have got this name in the meantime.
+  if (const std::optional<std::string> why = not_a_cache(cache_file_))
+    print_warning(cache_file_, "the cache is not written: the file " + *why);
+  else if (const Result<void> saved = cache_->save(); !saved)
+    print_warning(cache_file_, "the cache is not written: " + saved.error().message);
 }
 
 VkPipelineCache ToolDevice::cache() const { return cache_ ? cache_->get() : VK_NULL_HANDLE; }
 
 Result<void> ToolDevice::close() {
-  if (cache_) SHALE_TRY_VOID(cache_->save());
   const std::vector<std::string> messages = instance_->take_validation_messages();
   if (!messages.empty()) return device_error("validation", "{}", messages.front());
   return {};
@@ -47,6 +90,15 @@ std::vector<const Resource*> tensors_of(const Variant& variant, Category categor
   for (const Resource& resource : variant.resources)
     if (resource.category == category) result.push_back(&resource);
   return result;
+}
+
+std::string driver_compiles(const Variant& variant) {
+  size_t words = 0;
+  for (const std::vector<uint32_t>& module : variant.modules) words += module.size();
+  return fmt::format(
+      "the driver compiles {} shaders of {} kB{}", variant.modules.size(), words * 4 / 1000,
+      words > kLongCompileWords ? ", which may take a minute where its cache has not got them"
+                                : "");
 }
 
 std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames) {
@@ -78,12 +130,15 @@ struct NetworkRun::State {
   DataGraphPipeline pipeline;
   Session session;
   vk::Timestamps timestamps, whole;
+  std::string compiles;  ///< what the first run waits for; empty after it
   std::vector<vk::Buffer> inputs = {}, outputs = {};
 
   std::span<const Segment> segments() const { return {&pipeline.graph(), 1}; }
   /// With the times of all dispatches, of the whole, or neither.
   Result<void> submit(vk::Timestamps* each, vk::Timestamps* all) {
     Result<void> recorded;
+    std::optional<Progress> first;
+    if (const std::string label = std::exchange(compiles, {}); !label.empty()) first.emplace(label);
     SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
       if (all) all->start(commands);
       recorded = session.record(commands, each);
@@ -96,9 +151,11 @@ struct NetworkRun::State {
 };
 
 Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& package,
-                                      const std::vector<Tensor>& inputs, StartTimes* start) {
+                                      StartTimes* start) {
   const Clock::time_point begin = Clock::now();
   const vk::Context& context = device.context();
+  const std::string compiles = driver_compiles(package.variants.front());
+  Progress progress(compiles);
   SHALE_TRY(DataGraphPipeline pipeline,
             DataGraphPipeline::create(context, package, {.cache = device.cache()}));
   SHALE_TRY(Session session, Session::create(pipeline));
@@ -107,8 +164,9 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
   SHALE_TRY(vk::Timestamps timestamps,
             vk::Timestamps::create(context, interval_count({&pipeline.graph(), 1})));
   SHALE_TRY(vk::Timestamps whole, vk::Timestamps::create(context, 1));
-  const auto state = std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
-                                                   std::move(timestamps), std::move(whole)});
+  const auto state =
+      std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
+                                    std::move(timestamps), std::move(whole), compiles});
 
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;
@@ -125,10 +183,17 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
     SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kUpload, state->inputs));
   for (const Resource* resource : tensors_of(state->pipeline.variant(), Category::kOutput))
     SHALE_TRY_VOID(add(*resource, vk::MemoryKind::kReadback, state->outputs));
-  NetworkRun run(state);
+  return NetworkRun(state);
+}
+
+Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& package,
+                                      const std::vector<Tensor>& inputs, StartTimes* start) {
+  SHALE_TRY(NetworkRun run, create(device, package, start));
   SHALE_TRY_VOID(run.set_inputs(inputs));
   return run;
 }
+
+const Variant& NetworkRun::variant() const { return state_->pipeline.variant(); }
 
 Result<void> NetworkRun::set_inputs(const std::vector<Tensor>& inputs) {
   const std::vector<const Resource*> in = tensors_of(state_->pipeline.variant(), Category::kInput);
@@ -172,11 +237,18 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
                                         const std::vector<Tensor>& inputs, uint32_t repeat,
                                         std::vector<DispatchTime>* times, StartTimes* start) {
   SHALE_TRY(NetworkRun network, NetworkRun::create(device, package, inputs, start));
+  return run_repeatedly(network, repeat, times, start);
+}
+
+Result<std::vector<Tensor>> run_repeatedly(NetworkRun& network, uint32_t repeat,
+                                           std::vector<DispatchTime>* times, StartTimes* start) {
   const Clock::time_point first = Clock::now();
   SHALE_TRY_VOID(network.run());
   if (start) start->first_ms = since_ms(first);
   std::vector<std::vector<DispatchTime>> measured;
+  Progress progress("running");
   for (uint32_t i = times ? 0 : 1; i < repeat; ++i) {
+    if (!progress.step(i, repeat)) return bad_input("", "interrupted after {} runs", i);
     if (!times) {
       SHALE_TRY_VOID(network.run());
       continue;

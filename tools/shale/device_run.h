@@ -28,25 +28,32 @@ struct DeviceArguments {
 /// --device, --cache, --validation.
 void add_device_options(CLI::App& app, DeviceArguments& device);
 
-/// Instance, device and pipeline cache with one lifetime.
+/// Instance, device and pipeline cache with one lifetime. The cache is a help, not a result: at the
+/// end, when results are safe, it is written; what goes wrong with it is a warning.
 class ToolDevice {
  public:
   /// Errors: kDevice.
   static Result<ToolDevice> open(const DeviceArguments& arguments);
+  ToolDevice(ToolDevice&&) = default;
+  ToolDevice& operator=(ToolDevice&&) = default;
+  ~ToolDevice();
 
   const vk::Context& context() const { return device_->context(); }
   VkPipelineCache cache() const;
-  /// Writes the pipeline cache if there is a file for it, and reports what validation said.
-  /// Errors: kDevice with the first validation message, kIo.
+  /// Reports what validation said.
+  /// Errors: kDevice with the first validation message.
   Result<void> close();
   std::vector<std::string> take_validation_messages() {
     return instance_->take_validation_messages();
   }
 
  private:
+  ToolDevice() = default;
+
   std::unique_ptr<vk::Instance> instance_;
   std::unique_ptr<vk::Device> device_;
   std::unique_ptr<vk::PipelineCache> cache_;  ///< null without a file for it
+  std::string cache_file_;
 };
 
 /// What stands before the first result.
@@ -58,11 +65,16 @@ struct StartTimes {
 /// A package's graph with inputs of its own, ready to be run again and again.
 class NetworkRun {
  public:
-  /// Inputs in the order of the graph; `device` must outlive the run. With `start`, how long it took
-  /// to get here.
-  /// Errors: kBadInput if inputs do not match the package, kDevice.
+  /// `device` must outlive the run. With `start`, how long it took to get here.
+  /// Errors: kBadInput if the package is broken, kDevice.
+  static Result<NetworkRun> create(const ToolDevice& device, const Package& package,
+                                   StartTimes* start = nullptr);
+  /// With inputs, in the order of the graph.
+  /// Errors: also kBadInput if inputs do not match the package.
   static Result<NetworkRun> create(const ToolDevice& device, const Package& package,
                                    const std::vector<Tensor>& inputs, StartTimes* start = nullptr);
+  /// The variant that the device takes.
+  const Variant& variant() const;
   /// Other inputs, for the runs to come. Errors: kBadInput if they do not match the package.
   Result<void> set_inputs(const std::vector<Tensor>& inputs);
   /// Runs once. Errors: kDevice.
@@ -81,6 +93,12 @@ class NetworkRun {
   std::shared_ptr<State> state_;
 };
 
+/// Runs a network whose inputs are set `repeat` times, as run_network does.
+/// Errors: kDevice; kBadInput if the user interrupts.
+Result<std::vector<Tensor>> run_repeatedly(NetworkRun& network, uint32_t repeat,
+                                           std::vector<DispatchTime>* times = nullptr,
+                                           StartTimes* start = nullptr);
+
 /// Runs the package's graph `repeat` times on the inputs; returns the outputs of the last run. With
 /// `times`, the median over the runs of each dispatch, after one run that is not measured; with
 /// `start`, how long it took to get there.
@@ -89,6 +107,10 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
                                         const std::vector<Tensor>& inputs, uint32_t repeat = 1,
                                         std::vector<DispatchTime>* times = nullptr,
                                         StartTimes* start = nullptr);
+
+/// What a Progress says while a driver compiles the kernels of a variant, at creation or at their first
+/// dispatch: how many, and how long that may take.
+std::string driver_compiles(const Variant& variant);
 
 /// Element-wise median over several measured frames; all have the same dispatches.
 std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames);

@@ -4,11 +4,13 @@
 #include <filesystem>
 #include <map>
 
+#include "ir/base/file.h"
 #include "tools/eval/html_report.h"
 #include "tools/eval/metrics.h"
 #include "tools/eval/tonemap.h"
 #include "tools/scene/exr.h"
 #include "tools/shale/command.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 namespace {
@@ -144,10 +146,16 @@ Result<int> diff(const Arguments& arguments) {
   SHALE_TRY(const std::vector<Pair> pairs, pairs_of(arguments));
   std::error_code error;
   const bool maps_to_folder = fs::is_directory(arguments.reference, error);
-  if (maps_to_folder && !arguments.map.empty()) {
-    fs::create_directories(arguments.map, error);
-    if (error) return io_error(arguments.map, "cannot create: {}", error.message());
+  std::vector<std::string> maps(arguments.map.empty() ? 0 : pairs.size(), arguments.map);
+  if (maps_to_folder && !maps.empty()) {
+    SHALE_TRY_VOID(make_folder(arguments.map));
+    for (size_t i = 0; i < pairs.size(); ++i)
+      maps[i] = (fs::path(arguments.map) / (pairs[i].name + ".png")).string();
   }
+  Outputs outputs;
+  for (const Pair& pair : pairs)
+    for (const std::string& path : {pair.reference, pair.test}) outputs.keep(path);
+  for (const std::string& path : maps) SHALE_TRY_VOID(outputs.claim_picture("--map", path));
   Json json{{"reference", arguments.reference}, {"test", arguments.test}};
   if (options.flip) json["pixels_per_degree"] = arguments.pixels_per_degree;
   json["pairs"] = Json::array();
@@ -171,12 +179,9 @@ Result<int> diff(const Arguments& arguments) {
                  {"width", test.width},
                  {"height", test.height}};
       entry.update(metrics_json(metrics));
-      if (!arguments.map.empty()) {
-        const std::string path = maps_to_folder
-                                     ? (fs::path(arguments.map) / (pair.name + ".png")).string()
-                                     : arguments.map;
-        SHALE_TRY_VOID(save_png(path, error_colours(map)));
-        entry["map"] = path;
+      if (!maps.empty()) {
+        SHALE_TRY_VOID(save_png(maps[i], error_colours(map)));
+        entry["map"] = maps[i];
       }
       for (const Column& column : kColumns) {
         if (!entry.contains(column.key)) continue;
@@ -214,10 +219,10 @@ Action add_diff(CLI::App& app) {
       ->check(CLI::IsMember({"psnr", "ssim", "flip"}));
   app.add_option("--ppd", arguments->pixels_per_degree,
                  "pixels per degree of the viewer, for FLIP (default: 67.02)")
-      ->check(CLI::Range(4.0, 400.0));
+      ->check(number_in(4, 400));
   app.add_option("--exposure", arguments->exposure,
                  "factor on the linear colours of .exr pictures, which are then tone-mapped")
-      ->check(CLI::Range(1e-6, 1e6));
+      ->check(number_in(1e-6, 1e6));
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
       "Example: shale diff models/pictures/raster_x2.png result.png --map error.png\n"

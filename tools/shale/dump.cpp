@@ -5,12 +5,13 @@
 #include "ir/base/file.h"
 #include "ir/text/text.h"
 #include "tools/shale/command.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 namespace {
 
 struct Arguments {
-  std::string file, output;
+  std::string file, output, precision = "int8";
   ImportArguments import;
   std::string what = "text";
   uint32_t variant = 0;
@@ -151,11 +152,18 @@ Json module_json(const VgfModule& module) {
   return json;
 }
 
+/// Sizes as numbers, open ones as "?".
+Json shape_json(const Shape& shape) {
+  Json list = Json::array();
+  for (const int64_t size : shape) list.push_back(size == kDynamic ? Json("?") : Json(size));
+  return list;
+}
+
 Json resource_json(const VgfResource& resource) {
   Json json{{"vk_descriptor_type", number_or_null(resource.descriptor_type)},
             {"vk_format", resource.format},
             {"category", vgf_name(resource.category)},
-            {"shape", resource.shape},
+            {"shape", shape_json(resource.shape)},
             {"strides", resource.strides}};
   if (const std::optional<VgfSampler>& s = resource.sampler)
     json["sampler_config"] = {{"min_filter", s->min_filter},
@@ -272,8 +280,10 @@ Result<Dump> shader_dump(const Variant& variant, int32_t module) {
   return dump;
 }
 
-Result<Dump> dump_file(const Arguments& arguments) {
-  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(arguments.file));
+Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
+  const std::vector<uint8_t>& bytes = model.bytes;
+  if (bytes.empty() && model.frame)
+    return bad_input("", "is a sandwich without a network, so there is no graph to print");
   if (!is_package(bytes)) {
     if (arguments.what != "text" && arguments.what != "graph")
       return bad_input("--what", "\"{}\" needs a package, the file is a model", arguments.what);
@@ -296,8 +306,11 @@ Result<Dump> dump_file(const Arguments& arguments) {
 }
 
 Result<int> dump(const Arguments& arguments) {
-  const Result<Dump> result = dump_file(arguments);
-  if (!result) return in_file(arguments.file, result.error());
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
+  SHALE_TRY(const ModelFiles model, load_model(arguments.file, "", arguments.precision));
+  const Result<Dump> result = dump_file(arguments, model);
+  if (!result) return in_file(model.path, result.error());
   const std::string text = arguments.json ? json_text(result->json) : result->text;
   if (arguments.output.empty()) {
     fmt::print("{}", text);
@@ -312,8 +325,9 @@ Result<int> dump(const Arguments& arguments) {
 Action add_dump(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   app.add_option("file", arguments->file,
-                 fmt::format("model ({}) or package (.shale)", kModelKinds))
+                 fmt::format("model ({}), model folder, or package (.shale)", kModelKinds))
       ->required();
+  add_precision_option(app, arguments->precision);
   app.add_option("-o,--output", arguments->output, "write to a file instead of the terminal");
   app.add_option(
          "--what", arguments->what,

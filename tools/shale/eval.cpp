@@ -4,6 +4,7 @@
 #include "ir/base/file.h"
 #include "tools/shale/command.h"
 #include "tools/shale/evaluate.h"
+#include "tools/shale/outputs.h"
 #include "tools/shale/source.h"
 
 namespace shale {
@@ -31,16 +32,18 @@ class Methods {
   Result<std::pair<Extent, Extent>> default_sizes() const {
     SHALE_TRY(const Sandwich first,
               load_sandwich(arguments_.methods[0], arguments_.compile, {}, {}));
-    return sandwich_sizes(first.package);
+    return sandwich_sizes(first.package.variants.front());
   }
 
   /// Errors: as load_sandwich and Player::create; kBadInput if a package has other sizes.
   Result<std::vector<PlayedMethod>*> at(Extent render, Extent output) {
     if (render == render_ && output == output_) return &methods_;
     methods_.clear();
+    CompileArguments compile = arguments_.compile;
+    compile.ratio = 0;  // the frames have their sizes
     for (const std::string& path : arguments_.methods) {
-      SHALE_TRY(const Sandwich sandwich, load_sandwich(path, arguments_.compile, render, output));
-      SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package));
+      SHALE_TRY(const Sandwich sandwich, load_sandwich(path, compile, render, output));
+      SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package.variants.front()));
       if (sizes.first != render || sizes.second != output)
         return bad_input(path, "was compiled for {}x{} to {}x{}, the frames are {}x{} to {}x{}",
                          sizes.first.width, sizes.first.height, sizes.second.width,
@@ -87,6 +90,9 @@ void print_table(const EvalReport& report) {
 }
 
 Result<int> eval(const Arguments& arguments) {
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
+  SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   EvalReport report;
   report.title = "shale eval";
@@ -100,7 +106,9 @@ Result<int> eval(const Arguments& arguments) {
           return bad_input(input,
                            "is neither a scene (.json) nor a dataset (a folder with 0000.json)");
         case SourceKind::kDataset: {
-          SHALE_TRY(source, open_dataset(input, arguments.source));
+          SourceArguments from = arguments.source;
+          from.ratio = arguments.compile.ratio;
+          SHALE_TRY(source, open_dataset(input, from));
           break;
         }
         case SourceKind::kScene: {

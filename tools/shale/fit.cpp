@@ -6,6 +6,7 @@
 
 #include "ir/base/file.h"
 #include "tools/shale/command.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 namespace {
@@ -65,6 +66,8 @@ Result<void> read_bench(const std::string& path, Data& data) {
 Result<int> run(const Arguments& arguments) {
   const DeviceProfile* profile = find_profile(arguments.target);
   if (!profile) return bad_input("--target", "\"{}\" is unknown", arguments.target);
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   Data data;
   for (const std::string& file : arguments.files) SHALE_TRY_VOID(read_bench(file, data));
   if (data.rows.empty()) return bad_input("", "the files hold no dispatch");

@@ -2,11 +2,13 @@
 #include <algorithm>
 #include <filesystem>
 
+#include "ir/base/file.h"
 #include "ir/reference/interpreter.h"
 #include "tools/eval/tonemap.h"
 #include "tools/shale/animation.h"
 #include "tools/shale/command.h"
 #include "tools/shale/npy.h"
+#include "tools/shale/outputs.h"
 #include "tools/shale/player.h"
 #include "tools/shale/source.h"
 
@@ -101,18 +103,13 @@ Result<Picture> comparison(const Arguments& arguments, const Picture& input,
   return side_by_side(panels, 2);
 }
 
-Result<void> make_folder(const std::string& path) {
-  std::error_code error;
-  fs::create_directories(path, error);
-  if (error) return io_error(path, "cannot create: {}", error.message());
-  return {};
-}
-
 /// All images and all tensors that have a quantization, after a frame: DIR/0000.NAME.npy.
 Result<void> dump(const Player& player, const std::string& folder, uint32_t frame) {
+  FileNames names;
   for (const Resource& resource : player.variant().resources) {
     const std::string path =
-        (fs::path(folder) / fmt::format("{:04}.{}.npy", frame, resource.name)).string();
+        (fs::path(folder) / fmt::format("{:04}.{}.npy", frame, names.claim(resource.name)))
+            .string();
     if (is_image(resource.category)) {
       SHALE_TRY(const FloatImage image, player.read(resource.name, false));
       SHALE_TRY_VOID(write_npy(path, image));
@@ -157,25 +154,27 @@ Result<Json> psnr_against(const std::string& path, const Picture& input, const P
               {"result", psnr_db(result, reference)}};
 }
 
-void print(const Json& json, const std::vector<DispatchTime>& median, size_t measured) {
+void print(const Json& json, const std::vector<DispatchTime>& median, size_t measured,
+           std::FILE* to) {
   for (const Json& frame : json["frames"]) {
-    fmt::print("{} -> {} ({}x{}){}\n", frame["input"].get<std::string>(),
+    fmt::print(to, "{} -> {} ({}x{}){}\n", frame["input"].get<std::string>(),
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
                frame["height"].get<uint32_t>(),
                frame.contains("network") ? ", network " + frame["network"].get<std::string>() : "");
     if (frame.contains("psnr_db"))
       for (const auto& [name, value] : frame["psnr_db"].items())
-        fmt::print("  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());
+        fmt::print(to, "  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());
   }
   if (median.empty()) return;
   for (const Json& time : json["dispatches"])
-    fmt::print("  {:>10.1f} us {:>5.1f} %  {:<14} {:<20} {}\n", time["time_us"].get<double>(),
+    fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {:<14} {:<20} {}\n", time["time_us"].get<double>(),
                100 * time["share"].get<double>(), time["segment"].get<std::string>(),
                time["kernel"].get<std::string>(), time["name"].get<std::string>());
   for (const Json& time : json["segments"])
-    fmt::print("  {:>10.1f} us {:>5.1f} %  {}\n", time["time_us"].get<double>(),
+    fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {}\n", time["time_us"].get<double>(),
                100 * time["share"].get<double>(), time["segment"].get<std::string>());
-  fmt::print("  {:>10.1f} us a frame, median of {}\n", json["frame_us"].get<double>(), measured);
+  fmt::print(to, "  {:>10.1f} us a frame, median of {}\n", json["frame_us"].get<double>(),
+             measured);
 }
 
 void add_times(Json& json, const std::vector<DispatchTime>& median) {
@@ -199,6 +198,42 @@ void add_times(Json& json, const std::vector<DispatchTime>& median) {
   for (Json& segment : json["segments"]) segment["share"] = share(segment["time_us"].get<double>());
 }
 
+/// Where the results go: by frame, and claimed before the first is played.
+struct Paths {
+  std::vector<std::string> results, views;  ///< views: empty without --debug-view
+};
+
+Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind) {
+  const bool is_pictures = kind == SourceKind::kPictures;
+  std::error_code ignored;
+  const bool to_folder = !is_pictures || source.frame_count() > 1 ||
+                         fs::is_directory(arguments.input, ignored) ||
+                         fs::is_directory(arguments.output, ignored);
+  if (to_folder) SHALE_TRY_VOID(make_folder(arguments.output));
+  if (!arguments.debug_view.empty()) SHALE_TRY_VOID(make_folder(arguments.debug_view));
+  if (!arguments.dump.empty()) SHALE_TRY_VOID(make_folder(arguments.dump));
+  Outputs outputs;
+  Paths paths;
+  const auto label = [&](uint32_t i) {
+    return is_pictures ? static_cast<PictureSource&>(source).file(i)
+                       : fmt::format("{} frame {}", arguments.input, i);
+  };
+  for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep(label(i));
+  for (uint32_t i = 0; i < source.frame_count(); ++i) {
+    const std::string name =
+        (is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", i)) + ".png";
+    paths.results.push_back(to_folder ? (fs::path(arguments.output) / name).string()
+                                      : arguments.output);
+    SHALE_TRY_VOID(outputs.claim_picture(label(i), paths.results.back()));
+    if (arguments.debug_view.empty()) continue;
+    paths.views.push_back((fs::path(arguments.debug_view) / name).string());
+    SHALE_TRY_VOID(outputs.claim_picture("--debug-view of " + label(i), paths.views.back()));
+  }
+  SHALE_TRY_VOID(outputs.claim_picture("--compare", arguments.compare));
+  SHALE_TRY_VOID(outputs.claim_picture("--animation", arguments.animation));
+  return paths;
+}
+
 Result<int> play(const Arguments& arguments) {
   if (!arguments.crop.empty() && arguments.crop.size() != 4)
     return bad_input("--crop", "expected X,Y,WIDTH,HEIGHT");
@@ -208,32 +243,29 @@ Result<int> play(const Arguments& arguments) {
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   const SourceKind kind = source_kind(arguments.input);
   const bool is_sequence = kind != SourceKind::kPictures;
+  CompileArguments compile = arguments.compile;
   // Frames at hand give the sandwich its size; a scene is rendered in the sandwich's.
   std::unique_ptr<FrameSource> source;
   std::optional<Extent> render_size, output_size;
   if (kind == SourceKind::kDataset) {
-    SHALE_TRY(source, open_dataset(arguments.input, arguments.source));
+    SourceArguments from = arguments.source;
+    from.ratio = std::exchange(compile.ratio, 0);
+    SHALE_TRY(source, open_dataset(arguments.input, from));
     output_size = source->output_size();
   } else if (kind == SourceKind::kPictures) {
     SHALE_TRY(source, PictureSource::open(arguments.input));
   }
   if (source) render_size = source->render_size();
   SHALE_TRY(const Sandwich sandwich,
-            load_sandwich(arguments.model, arguments.compile, render_size, output_size));
+            load_sandwich(arguments.model, compile, render_size, output_size));
   if (kind == SourceKind::kScene) {
-    SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package));
+    SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package.variants.front()));
     SHALE_TRY(source,
               open_scene(arguments.input, arguments.source, device, sizes.first, sizes.second));
   }
   if (arguments.check && !sandwich.graph)
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);
-  std::error_code ignored;
-  const bool to_folder = is_sequence || source->frame_count() > 1 ||
-                         fs::is_directory(arguments.input, ignored) ||
-                         fs::is_directory(arguments.output, ignored);
-  if (to_folder) SHALE_TRY_VOID(make_folder(arguments.output));
-  if (!arguments.debug_view.empty()) SHALE_TRY_VOID(make_folder(arguments.debug_view));
-  if (!arguments.dump.empty()) SHALE_TRY_VOID(make_folder(arguments.dump));
+  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind));
 
   std::vector<std::vector<DispatchTime>> measured;
   std::vector<PngPicture> shown;
@@ -257,10 +289,7 @@ Result<int> play(const Arguments& arguments) {
       if (!played) return in_file(label, played.error());
       if (arguments.profile) measured.push_back(std::move(times));
       const Picture result = to_picture(*played);
-      const std::string stem =
-          is_sequence ? fmt::format("{:04}", i) : fs::path(label).stem().string();
-      const std::string output =
-          to_folder ? (fs::path(arguments.output) / (stem + ".png")).string() : arguments.output;
+      const std::string& output = paths.results[i];
       SHALE_TRY_VOID(save_png(output, result));
       Json entry{
           {"input", label}, {"output", output}, {"width", result.width}, {"height", result.height}};
@@ -272,8 +301,7 @@ Result<int> play(const Arguments& arguments) {
           panel.picture = upscale_nearest(
               panel.picture, kMosaicWidth,
               std::max(1u, kMosaicWidth * panel.picture.height / panel.picture.width));
-        SHALE_TRY_VOID(save_png((fs::path(arguments.debug_view) / (stem + ".png")).string(),
-                                side_by_side(panels, 4)));
+        SHALE_TRY_VOID(save_png(paths.views[i], side_by_side(panels, 4)));
       }
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
@@ -311,7 +339,7 @@ Result<int> play(const Arguments& arguments) {
   if (arguments.json)
     print_json(json);
   else
-    print(json, median, measured.size());
+    print(json, median, measured.size(), summary_stream(arguments.output));
   return exit;
 }
 

@@ -72,6 +72,25 @@ void write_channel(uint8_t* texel, ImageFormat format, uint32_t channel, float v
   }
 }
 
+bool is_unorm(ImageFormat format) {
+  return format == ImageFormat::kRgba8Unorm || format == ImageFormat::kRg8Unorm ||
+         format == ImageFormat::kR8Unorm;
+}
+
+/// Three channels of one to four.
+FloatImage to_rgb(const FloatImage& from) {
+  FloatImage result{from.width, from.height, 3, {}};
+  const size_t texels = size_t{from.width} * from.height;
+  result.values.reserve(texels * 3);
+  for (size_t i = 0; i < texels; ++i)
+    for (size_t c = 0; c < 3; ++c) {
+      const size_t channel = from.channels == 1 ? 0 : c;
+      result.values.push_back(channel < from.channels ? from.values[i * from.channels + channel]
+                                                      : 0.0f);
+    }
+  return result;
+}
+
 /// The texels of a linear image without what lies between its rows.
 std::vector<uint8_t> dense_rows(std::span<const uint8_t> bytes, const Resource& image) {
   const size_t row = size_t{image.width} * image_format_info(image.format).texel_bytes;
@@ -127,9 +146,9 @@ void pack_texels(const FloatImage& from, ImageFormat format, std::span<uint8_t> 
                                       : 0.0f);
 }
 
-Result<std::pair<Extent, Extent>> sandwich_sizes(const Package& package) {
+Result<std::pair<Extent, Extent>> sandwich_sizes(const Variant& variant) {
   const auto find = [&](const char* name, Category category) -> const Resource* {
-    for (const Resource& resource : package.variants.front().resources)
+    for (const Resource& resource : variant.resources)
       if (resource.name == name && resource.category == category) return &resource;
     return nullptr;
   };
@@ -164,8 +183,7 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
   take(options.sizes.render, render);
   take(options.sizes.output, output);
   SHALE_TRY(Compiled compiled, compile_model(model, options));
-  for (const std::string& warning : compiled.warnings)
-    fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  for (const std::string& warning : compiled.warnings) print_warning(model.path, warning);
   sandwich.name = model.name;
   sandwich.package = std::move(compiled.package);
   if (model.bytes.empty()) return sandwich;
@@ -176,10 +194,13 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
 
 Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package) {
   const vk::Context& context = device.context();
+  std::string compiles = driver_compiles(package.variants.front());
+  Progress progress(compiles);
   SHALE_TRY(FrameLoop loop,
             FrameLoop::create(context, package, {.frames_in_flight = 1, .cache = device.cache()}));
-  SHALE_TRY_VOID(sandwich_sizes(package));
-  auto player = std::unique_ptr<Player>(new Player(context, std::move(loop)));
+  // The device may take another variant than the first.
+  SHALE_TRY_VOID(sandwich_sizes(loop.variant()));
+  auto player = std::unique_ptr<Player>(new Player(context, std::move(loop), std::move(compiles)));
   SHALE_TRY_VOID(player->make_images());
   return player;
 }
@@ -220,11 +241,9 @@ Result<void> Player::make_images() {
     barriers.push_back(barrier);
     images_.emplace(resource.name, std::move(host));
   }
-  const auto is_unorm = [&](const char* name) {
-    return images_.at(name).resource->format == ImageFormat::kRgba8Unorm;
-  };
-  if (is_unorm("color") != is_unorm("output"))
-    return unsupported("", "one of color and output is rgba8_unorm, the other is not");
+  if (is_unorm(images_.at("color").resource->format) !=
+      is_unorm(images_.at("output").resource->format))
+    return unsupported("", "one of color and output is of unorm format, the other is not");
   return vk::submit_and_wait(context_, [&](VkCommandBuffer commands) {
     vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT,
                          VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 0, nullptr, 0, nullptr,
@@ -237,9 +256,7 @@ Extent Player::extent_of(const std::string& name) const {
   return {image.width, image.height};
 }
 
-bool Player::is_display() const {
-  return images_.at("color").resource->format == ImageFormat::kRgba8Unorm;
-}
+bool Player::is_display() const { return is_unorm(images_.at("color").resource->format); }
 
 void Player::reset() {
   loop_.reset_history();
@@ -296,13 +313,7 @@ Result<FloatImage> Player::play(const SourceFrame& frame, std::vector<DispatchTi
   previous_jitter_ = frame.camera.jitter;
   has_past_ = true;
   const HostImage& output = images_.at("output");
-  const FloatImage four =
-      unpack_texels(output.staging.mapped(), output.resource->format, output_size());
-  FloatImage result{four.width, four.height, 3, {}};
-  result.values.reserve(four.values.size() / 4 * 3);
-  for (size_t i = 0; i < four.values.size(); ++i)
-    if (i % 4 != 3) result.values.push_back(four.values[i]);
-  return result;
+  return to_rgb(unpack_texels(output.staging.mapped(), output.resource->format, output_size()));
 }
 
 Result<void> Player::run(std::vector<DispatchTime>* times) {
@@ -312,6 +323,8 @@ Result<void> Player::run(std::vector<DispatchTime>* times) {
     SHALE_TRY(timestamps, vk::Timestamps::create(context_, interval_count(segments)));
   }
   const HostImage& output = images_.at("output");
+  std::optional<Progress> first;
+  if (const std::string label = std::exchange(compiles_, {}); !label.empty()) first.emplace(label);
   Result<void> recorded;
   SHALE_TRY_VOID(vk::submit_and_wait(context_, [&](VkCommandBuffer commands) {
     for (const auto& [name, host] : images_) {

@@ -28,9 +28,9 @@ struct Sandwich {
   std::optional<Graph> graph;  ///< before the passes; empty for a package, or without a network
 };
 
-/// Sizes of a package's images color and output, of its first variant.
-/// Errors: kBadInput if it has no such images.
-Result<std::pair<Extent, Extent>> sandwich_sizes(const Package& package);
+/// Sizes of the images color and output.
+/// Errors: kBadInput if the variant has no such images.
+Result<std::pair<Extent, Extent>> sandwich_sizes(const Variant& variant);
 
 /// Takes a package as it is, or compiles a model for the sizes, where they are given.
 /// Errors: kBadInput, naming the file, if there is no sandwich; those of compiling.
@@ -54,8 +54,8 @@ class Player {
   /// The next frame starts without a past. Frames with a cut do so themselves.
   void reset();
 
-  /// Plays one frame; the result has 3 channels at output size: display values in [0, 1] if
-  /// is_display(), else linear. `times` gains the dispatches. Of `frame`, color holds display values
+  /// Plays one frame; the result has 3 channels at output size, of one channel grey, of two without
+  /// blue: display values in [0, 1] if is_display(), else linear. `times` gains the dispatches. Of `frame`, color holds display values
   /// if is_display(); images that the sandwich does not take may be empty.
   /// Errors: kBadInput if a size differs from the package's or an image is missing; kDevice.
   Result<FloatImage> play(const SourceFrame& frame, std::vector<DispatchTime>* times = nullptr);
@@ -88,7 +88,8 @@ class Player {
     vk::Image image;
     vk::Buffer staging;  ///< filled before a frame, or read after it
   };
-  Player(const vk::Context& context, FrameLoop loop) : context_(context), loop_(std::move(loop)) {}
+  Player(const vk::Context& context, FrameLoop loop, std::string compiles)
+      : context_(context), loop_(std::move(loop)), compiles_(std::move(compiles)) {}
 
   Result<void> make_images();
   Result<void> upload(const SourceFrame& frame);
@@ -101,6 +102,7 @@ class Player {
   std::map<std::string, HostImage> images_;
   std::array<float, 2> previous_jitter_{};
   bool has_past_ = false;
+  std::string compiles_;  ///< what the first frame waits for; empty after it
 };
 
 /// Texels of an image, as they lie in a buffer, to floats and back. `channels` of `from` that a

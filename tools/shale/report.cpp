@@ -7,6 +7,7 @@
 #include "ir/base/file.h"
 #include "tools/eval/data_page.h"
 #include "tools/shale/cost_page.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 
@@ -92,6 +93,9 @@ std::string csv_of(const Json& files) {
 }
 
 Result<int> report_files(const ReportArguments& arguments) {
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("--csv", arguments.csv));
+  SHALE_TRY_VOID(outputs.claim("--html", arguments.html));
   Json files = Json::array();
   for (size_t i = 0; i < arguments.files.size(); ++i) {
     const std::string& path = arguments.files[i];

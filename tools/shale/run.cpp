@@ -1,4 +1,5 @@
 // shale run: a network alone, arrays in, arrays out.
+#include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <random>
@@ -8,6 +9,8 @@
 #include "tools/shale/command.h"
 #include "tools/shale/layer_check.h"
 #include "tools/shale/npy.h"
+#include "tools/shale/outputs.h"
+#include "tools/shale/random_inputs.h"
 
 namespace shale {
 namespace {
@@ -16,7 +19,7 @@ namespace fs = std::filesystem;
 
 struct Arguments {
   std::string file, check_model, output_folder, profile_file;
-  std::vector<std::string> inputs;
+  std::vector<std::string> inputs, ranges;
   std::optional<uint64_t> random_seed;
   CompileArguments compile;
   DeviceArguments device;
@@ -24,45 +27,76 @@ struct Arguments {
   bool check = false, profile = false, json = false;
 };
 
-/// Values over the whole range of the type, of a float in -4..4; the same on every machine for a seed.
-Tensor random_tensor(const TensorType& type, std::mt19937_64& generator) {
-  Tensor tensor = Tensor::zeros(type);
-  if (is_float(type.dtype)) {
-    for (int64_t i = 0; i < tensor.count(); ++i)
-      tensor.set_real(i, static_cast<float>(generator() % 8193) / 1024.0f - 4.0f);
-    return tensor;
+/// NAME=LOW,HIGH.
+Result<GivenRanges> parse_ranges(const std::vector<std::string>& texts) {
+  GivenRanges ranges;
+  for (const std::string& text : texts) {
+    const size_t equals = text.rfind('='), comma = text.rfind(',');
+    std::pair<double, double> range;
+    const auto parse = [&](size_t from, size_t to, double& value) {
+      const auto [end, error] = std::from_chars(text.data() + from, text.data() + to, value);
+      return error == std::errc() && end == text.data() + to && std::isfinite(value);
+    };
+    if (equals == std::string::npos || equals == 0 || comma == std::string::npos ||
+        comma < equals || !parse(equals + 1, comma, range.first) ||
+        !parse(comma + 1, text.size(), range.second))
+      return bad_input("--range", "\"{}\" is not of the form NAME=LOW,HIGH", text);
+    if (!ranges.emplace(text.substr(0, equals), range).second)
+      return bad_input("--range", "\"{}\" has two ranges", text.substr(0, equals));
   }
-  const IntRange range = dtype_range(type.dtype);
-  const uint64_t span = static_cast<uint64_t>(range.max - range.min) + 1;
-  for (int64_t i = 0; i < tensor.count(); ++i)
-    tensor.set(i, range.min + static_cast<int64_t>(span == 0 ? generator() : generator() % span));
-  return tensor;
+  return ranges;
 }
 
-Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Variant& variant) {
-  std::vector<Tensor> tensors;
-  std::mt19937_64 generator(arguments.random_seed.value_or(0));
+/// The file that --input names for an input, and the rest of the texts.
+std::optional<std::string> take_file(std::vector<std::string>& texts, const std::string& name) {
+  const auto given = std::find_if(texts.begin(), texts.end(), [&](const std::string& text) {
+    return text.starts_with(name + "=");
+  });
+  if (given == texts.end()) return std::nullopt;
+  const std::string file = given->substr(name.size() + 1);
+  texts.erase(given);
+  return file;
+}
+
+/// What is missing is told before the driver compiles.
+Result<void> check_input_names(const Arguments& arguments, const Variant& variant) {
   std::vector<std::string> unused = arguments.inputs;
-  for (const Resource* resource : tensors_of(variant, Category::kInput)) {
-    const TensorType type{resource->dtype, resource->shape};
-    const auto given = std::find_if(unused.begin(), unused.end(), [&](const std::string& text) {
-      return text.starts_with(resource->name + "=");
-    });
-    if (given != unused.end()) {
-      SHALE_TRY(Tensor tensor, read_npy(given->substr(resource->name.size() + 1), type));
-      tensors.push_back(std::move(tensor));
-      unused.erase(given);
-    } else if (arguments.random_seed) {
-      tensors.push_back(random_tensor(type, generator));
-    } else {
+  for (const Resource* resource : tensors_of(variant, Category::kInput))
+    if (!take_file(unused, resource->name) && !arguments.random_seed)
       return bad_input("input \"" + resource->name + "\"",
                        "is missing; give --input {}=FILE.npy of {}, or --random SEED",
-                       resource->name, type_text(type));
-    }
-  }
+                       resource->name, type_text({resource->dtype, resource->shape}));
   if (!unused.empty())
     return bad_input("--input", "\"{}\" names no input of the network", unused.front());
+  return {};
+}
+
+/// `ranges` in the order of the inputs.
+Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Variant& variant,
+                                        const std::vector<RandomRange>& ranges) {
+  std::vector<Tensor> tensors;
+  std::mt19937_64 generator(arguments.random_seed.value_or(0));
+  std::vector<std::string> texts = arguments.inputs;
+  for (const Resource* resource : tensors_of(variant, Category::kInput)) {
+    const TensorType type{resource->dtype, resource->shape};
+    if (const std::optional<std::string> file = take_file(texts, resource->name)) {
+      SHALE_TRY(Tensor tensor, read_npy(*file, type));
+      tensors.push_back(std::move(tensor));
+    } else {
+      tensors.push_back(random_tensor(type, ranges[tensors.size()], generator));
+    }
+  }
   return tensors;
+}
+
+/// By the graph, where it is known; of a package alone the types have to do.
+Result<std::vector<RandomRange>> ranges_of(const GivenRanges& given, const Variant& variant,
+                                           const std::optional<Graph>& graph) {
+  if (graph) return legal_ranges(*graph, given);
+  Graph inputs_alone;
+  for (const Resource* resource : tensors_of(variant, Category::kInput))
+    inputs_alone.add_input(resource->name, {resource->dtype, resource->shape});
+  return legal_ranges(inputs_alone, given);
 }
 
 /// `graph` is the package's, or the model's that --model names; `options` are set where it was compiled
@@ -75,11 +109,16 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
     if (is_package(bytes)) {
       if (arguments.check && arguments.check_model.empty())
         return bad_input("--check", "a package holds no graph; name its model with --model");
+      if (!arguments.compile.render.empty() || !arguments.compile.output.empty() ||
+          arguments.compile.ratio != 0)
+        return bad_input("--render", "{} is a package, whose sizes are fixed", arguments.file);
       if (!arguments.check_model.empty()) {
         SHALE_TRY(const ModelFiles model,
                   load_model(arguments.check_model, "", arguments.compile.precision));
         SHALE_TRY(const ImportOptions import, arguments.compile.import.options());
-        SHALE_TRY(graph, import_model(model.bytes, import));
+        Result<Graph> imported = import_model(model.bytes, import);
+        if (!imported) return in_file(model.path, imported.error());
+        graph = *std::move(imported);
       }
       Result<Package> package = read_package(bytes);
       if (!package) return in_file(arguments.file, package.error());
@@ -88,37 +127,61 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
   }
   SHALE_TRY(ModelFiles model,
             load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
-  model.frame.reset();  // the network alone
+  // The network alone, at the size that its sandwich gives it where that is asked for.
+  const bool sized = !arguments.compile.render.empty() || !arguments.compile.output.empty() ||
+                     arguments.compile.ratio != 0;
+  if (!sized) model.frame.reset();
   SHALE_TRY(options, arguments.compile.options(model));
   if (!options->expected_runs)
     options->expected_runs = std::max(kRunsOfOne, 1.0 * arguments.repeat);
   SHALE_TRY(Compiled compiled, compile_model(model, *options));
-  for (const std::string& warning : compiled.warnings)
-    fmt::print(stderr, "{}: warning: {}\n", model.path, warning);
+  for (const std::string& warning : compiled.warnings) print_warning(model.path, warning);
   for (const std::string& line : selection_lines(compiled)) fmt::print(stderr, "{}\n", line);
   graph = std::move(compiled.graph);
   return std::move(compiled.package);
 }
 
 Result<int> run(const Arguments& arguments) {
+  Outputs files;
+  SHALE_TRY_VOID(files.claim("--profile-to", arguments.profile_file));
+  SHALE_TRY(const GivenRanges given, parse_ranges(arguments.ranges));
+  if (!given.empty() && !arguments.random_seed)
+    return bad_input("--range", "says how random values are drawn; --random SEED is missing");
   std::optional<Graph> graph;
   std::optional<CompileOptions> options;
   SHALE_TRY(const Package package, load_package(arguments, graph, options));
-  SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   const Variant& variant = package.variants.front();
-  SHALE_TRY(const std::vector<Tensor> inputs, read_inputs(arguments, variant));
+  SHALE_TRY_VOID(check_input_names(arguments, variant));
+  if (graph) SHALE_TRY_VOID(match_shapes(*graph, variant));
+  SHALE_TRY(const std::vector<RandomRange> ranges, ranges_of(given, variant, graph));
+  const std::vector<const Resource*> names = tensors_of(variant, Category::kOutput);
+  std::vector<std::string> paths;
+  if (!arguments.output_folder.empty()) {
+    SHALE_TRY_VOID(make_folder(arguments.output_folder));
+    FileNames file_names;
+    for (const Resource* name : names) {
+      paths.push_back(
+          (fs::path(arguments.output_folder) / (file_names.claim(name->name) + ".npy")).string());
+      SHALE_TRY_VOID(files.claim("output \"" + name->name + "\"", paths.back()));
+    }
+  }
+  SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
+  // The device refuses what it cannot run before there are inputs.
+  std::vector<Tensor> inputs, outputs;
   std::vector<DispatchTime> times;
   const bool measure = arguments.profile || !arguments.profile_file.empty();
-  SHALE_TRY(const std::vector<Tensor> outputs,
-            run_network(device, package, inputs, arguments.repeat, measure ? &times : nullptr));
+  {
+    SHALE_TRY(NetworkRun network, NetworkRun::create(device, package));
+    SHALE_TRY(inputs, read_inputs(arguments, variant, ranges));
+    SHALE_TRY_VOID(network.set_inputs(inputs));
+    SHALE_TRY(outputs, run_repeatedly(network, arguments.repeat, measure ? &times : nullptr));
+  }
 
   Json json{{"device", device.context().caps.name}};
   int exit = kDone;
-  const std::vector<const Resource*> names = tensors_of(variant, Category::kOutput);
   std::vector<OutputCheck> checks;
   std::vector<LayerCheck> layers;
   if (arguments.check) {
-    SHALE_TRY_VOID(match_shapes(*graph, variant));
     Progress progress("interpreting");
     SHALE_TRY(checks, check_outputs(*graph, inputs, outputs, [&](uint32_t node, uint32_t count) {
                 return progress.step(node, count);
@@ -142,17 +205,9 @@ Result<int> run(const Arguments& arguments) {
     }
   }
   SHALE_TRY_VOID(device.close());
-  if (!arguments.output_folder.empty()) {
-    std::error_code error;
-    fs::create_directories(arguments.output_folder, error);
-    if (error) return io_error(arguments.output_folder, "cannot create: {}", error.message());
-    for (size_t i = 0; i < outputs.size(); ++i) {
-      std::string file = names[i]->name;
-      std::replace(file.begin(), file.end(), '/', '_');
-      const std::string path = (fs::path(arguments.output_folder) / (file + ".npy")).string();
-      SHALE_TRY_VOID(write_npy(path, outputs[i]));
-      json["outputs"][names[i]->name] = path;
-    }
+  for (size_t i = 0; i < paths.size(); ++i) {
+    SHALE_TRY_VOID(write_npy(paths[i], outputs[i]));
+    json["outputs"][names[i]->name] = paths[i];
   }
   double total_us = 0;
   for (const DispatchTime& time : times) {
@@ -192,6 +247,10 @@ Action add_run(CLI::App& app) {
       ->allow_extra_args(false);
   app.add_option("--random", arguments->random_seed,
                  "seed for random values of the inputs that are not given");
+  app.add_option("--range", arguments->ranges,
+                 "LOW and HIGH of an input's random values, NAME=LOW,HIGH (default: all that the "
+                 "graph is defined for)")
+      ->allow_extra_args(false);
   app.add_option("-o,--output", arguments->output_folder, "folder for the outputs, NAME.npy each");
   app.add_flag(
       "--check", arguments->check,

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <numeric>
 
+#include "ir/base/file.h"
 #include "tools/eval/tonemap.h"
 #include "tools/scene/dataset.h"
 #include "tools/scene/scene_source.h"
@@ -83,9 +84,7 @@ Result<void> save_previews(const fs::path& root, uint32_t number, uint32_t index
        {std::pair{"color", &frame.color}, std::pair{"truth", &frame.truth}}) {
     if (image->empty()) continue;
     const fs::path folder = root / "preview" / fmt::format("{:04}", number);
-    std::error_code error;
-    fs::create_directories(folder, error);
-    if (error) return io_error(folder.string(), "cannot create: {}", error.message());
+    SHALE_TRY_VOID(make_folder(folder.string()));
     SHALE_TRY_VOID(save_png((folder / fmt::format("{:04}_{}.png", index, name)).string(),
                             to_picture(display_image(*image, frame.camera.exposure))));
   }
@@ -94,8 +93,12 @@ Result<void> save_previews(const fs::path& root, uint32_t number, uint32_t index
 
 Result<int> run(const Arguments& arguments) {
   SHALE_TRY(const Extent render, extent_of("--render", arguments.render));
-  Extent output{static_cast<uint32_t>(std::lround(render.width * arguments.ratio)),
-                static_cast<uint32_t>(std::lround(render.height * arguments.ratio))};
+  // Readers divide by the ratio and round down.
+  const auto larger = [&](uint32_t side) {
+    const auto nearest = static_cast<uint32_t>(std::lround(side * arguments.ratio));
+    return std::floor(nearest / arguments.ratio) < side ? nearest + 1 : nearest;
+  };
+  Extent output{larger(render.width), larger(render.height)};
   if (!arguments.size.empty()) {
     SHALE_TRY(output, extent_of("--output-size", arguments.size));
   }
@@ -134,6 +137,7 @@ Result<int> run(const Arguments& arguments) {
         info.output = source.output_size();
         info.frame_rate = source.scene().frame_rate;
         info.jitter_phases = jitter_phases(render, output);
+        info.ratio = arguments.size.empty() ? arguments.ratio : ratio_of_sizes(render, output);
         SHALE_TRY(DatasetWriter writer, DatasetWriter::create(arguments.output, info));
         double render_s = 0;
         for (uint32_t i = 0; i < source.frame_count(); ++i) {
@@ -187,7 +191,7 @@ Action add_scene(CLI::App& app) {
   app.add_option("-o,--output", arguments->output, "folder of the dataset to write")->required();
   app.add_option("--render", arguments->render, "size of the rendered pictures (default 960x540)");
   auto* ratio = app.add_option("--ratio", arguments->ratio, "output size over render size")
-                    ->check(CLI::Range(1.0, 8.0));
+                    ->check(number_in(1, 8));
   app.add_option("--output-size", arguments->size, "size of the truth, instead of --ratio")
       ->excludes(ratio);
   app.add_option("--frames", arguments->frames, "number of frames (default: all)");

@@ -33,23 +33,17 @@ class SliceSource : public FrameSource {
   uint32_t first_, count_;
 };
 
-bool is_sequence_name(const fs::path& path) {
-  const std::string stem = path.stem().string();
-  return path.extension() == ".json" && stem.size() == 4 &&
-         std::all_of(stem.begin(), stem.end(), [](unsigned char c) { return std::isdigit(c); });
-}
-
 }  // namespace
 
 SourceKind source_kind(const std::string& path) {
   std::error_code error;
   if (!fs::is_directory(path, error)) {
     if (fs::path(path).extension() != ".json") return SourceKind::kPictures;
-    return is_sequence_name(path) ? SourceKind::kDataset : SourceKind::kScene;
+    return is_sequence_file(path) ? SourceKind::kDataset : SourceKind::kScene;
   }
   for (fs::directory_iterator it(path, error); !error && it != fs::directory_iterator();
        it.increment(error))
-    if (is_sequence_name(it->path())) return SourceKind::kDataset;
+    if (is_sequence_file(it->path().string())) return SourceKind::kDataset;
   return SourceKind::kPictures;
 }
 
@@ -71,7 +65,7 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
                        arguments.sequence);
     file = files[arguments.sequence];
   }
-  SHALE_TRY(std::unique_ptr<FrameSource> source, DatasetSource::open(file));
+  SHALE_TRY(std::unique_ptr<FrameSource> source, DatasetSource::open(file, arguments.ratio));
   const uint32_t all = source->frame_count();
   if (arguments.first >= all)
     return bad_input(file, "has {} frames, there is no number {}", all, arguments.first);

@@ -25,6 +25,7 @@ struct SourceArguments {
   uint32_t frames = 0;  ///< 0 is all
   uint32_t first = 0;
   uint32_t sequence = 0;
+  double ratio = 0;  ///< of a dataset that has several, from --ratio; 0 is not given
   void add_to(CLI::App& app);
 };
 

@@ -6,6 +6,7 @@
 #include "ir/base/file.h"
 #include "tools/shale/command.h"
 #include "tools/shale/device_run.h"
+#include "tools/shale/outputs.h"
 
 namespace shale {
 namespace {
@@ -50,6 +51,8 @@ Result<Layers> measure(const Arguments& arguments, const ToolDevice& device,
 }
 
 Result<int> run(const Arguments& arguments) {
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(ModelFiles model,
             load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));

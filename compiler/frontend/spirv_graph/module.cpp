@@ -57,13 +57,24 @@ std::string Module::name(uint32_t id) const {
   return found == names.end() ? std::string() : found->second;
 }
 
-SpirvEntryPoint::Slot Module::slot(uint32_t variable_id) const {
-  const Type& tensor = *type(type(variable(variable_id)->type)->element);
-  return {name(variable_id),
-          sets.at(variable_id),
-          bindings.at(variable_id),
-          {tensor.dtype, tensor.shape},
-          tensor.ranked};
+std::vector<SpirvEntryPoint::Slot> Module::slots(const EntryPoint& entry) const {
+  std::vector<SpirvEntryPoint::Slot> slots;
+  for (const uint32_t id : entry.interface) {
+    const Type& own = *type(type(variable(id)->type)->element);
+    const bool is_array = own.kind == Type::Kind::kArray;
+    const Type& tensor = is_array ? *type(own.element) : own;
+    for (uint32_t i = 0; i < (is_array ? own.length : 1); ++i) {
+      std::string own_name = name(id);
+      if (is_array && !own_name.empty()) own_name += fmt::format(".{}", i);
+      slots.push_back({std::move(own_name),
+                       sets.at(id),
+                       bindings.at(id),
+                       {tensor.dtype, tensor.shape},
+                       tensor.ranked,
+                       is_array ? std::optional(i) : std::nullopt});
+    }
+  }
+  return slots;
 }
 
 std::map<uint32_t, TensorType> Module::external_constants(const GraphDefinition& graph) const {
@@ -78,8 +89,11 @@ std::map<uint32_t, TensorType> Module::external_constants(const GraphDefinition&
     waiting.pop_back();
     const Constant* found = constant(id);
     if (!found || !seen.insert(id).second) continue;
-    if (found->kind == Constant::Kind::kExternal)
-      result.emplace(found->external_id, *data_type(*type(found->type)));
+    if (found->kind == Constant::Kind::kExternal) {
+      const Type& own = *type(found->type);
+      result.emplace(found->external_id,
+                     TensorType{own.dtype, own.ranked ? own.shape : Shape{kDynamic}});
+    }
     for (size_t i = 0; i < found->part_count; ++i) waiting.push_back(words[found->first_part + i]);
   }
   return result;
@@ -97,21 +111,52 @@ std::optional<TensorType> Module::data_type(const Type& found) const {
 Result<Tensor> Module::tensor(uint32_t constant_id, const ExternalData& external,
                               int64_t& budget) const {
   const Constant& found = *constant(constant_id);
+  if (found.kind == Constant::Kind::kExternal) return external_tensor(constant_id, external);
   const std::string label = fmt::format("constant %{}", constant_id);
   const std::optional<TensorType> wanted = data_type(*type(found.type));
   if (!wanted || found.kind == Constant::Kind::kOther)
     return bad_input(label, "is neither a shaped tensor nor an array of scalars");
   const int64_t size = *element_count(wanted->shape) * dtype_info(wanted->dtype).host_bytes;
-  // The caller has the bytes of an external constant already, so those need no limit.
-  if (found.kind != Constant::Kind::kExternal) {
-    if (size > budget)
-      return unsupported(label, "is {}: inline constants of a graph may take {} bytes together",
-                         type_text(*wanted), kMaxInlineBytes);
-    budget -= size;
-  }
-  Tensor result{*wanted, {}};
-  if (found.kind != Constant::Kind::kExternal) result.bytes.resize(static_cast<size_t>(size));
+  if (size > budget)
+    return unsupported(label, "is {}: inline constants of a graph may take {} bytes together",
+                       type_text(*wanted), kMaxInlineBytes);
+  budget -= size;
+  Tensor result = Tensor::zeros(*wanted);
   SHALE_TRY_VOID(expand(constant_id, external, 0, result));
+  return result;
+}
+
+/// The caller has its bytes already, so those need no limit.
+Result<Tensor> Module::external_tensor(uint32_t constant_id, const ExternalData& external) const {
+  const Constant& found = *constant(constant_id);
+  const Type& declared = *type(found.type);
+  const std::string own_name = name(constant_id);
+  const std::string label = fmt::format("graph constant {}{}", found.external_id,
+                                        own_name.empty() ? "" : " \"" + own_name + "\"");
+  const auto given = external.find(found.external_id);
+  if (given == external.end())
+    return bad_input(label,
+                     "is {} from outside the module, and no data was given for it (of a .spv file, "
+                     "with --constant {}=FILE)",
+                     tensor_text(declared), found.external_id);
+  const auto& [id, bytes, outside] = *given->second;
+  Tensor result{{declared.dtype, declared.shape}, {}};
+  if (!declared.shaped) {
+    result.type.shape = outside;
+    if (outside.empty() || (declared.ranked && outside.size() != declared.shape.size()))
+      return bad_input(label, "is {} in the module and {} outside, so its shape is not known",
+                       tensor_text(declared),
+                       outside.empty() ? "nothing else" : shape_text(outside));
+    if (std::ranges::any_of(outside, [](int64_t size) { return size < 1; }) ||
+        !element_count(outside))
+      return bad_input(label, "is {} outside, which is no shape of a constant",
+                       shape_text(outside));
+  }
+  const size_t size = static_cast<size_t>(*element_count(result.type.shape) * result.host_bytes());
+  if (bytes.size() != size)
+    return bad_input(label, "has {} bytes of data, {} needs {}", bytes.size(),
+                     type_text(result.type), size);
+  result.bytes.assign(bytes.begin(), bytes.end());
   return result;
 }
 
@@ -124,26 +169,15 @@ Result<void> Module::expand(uint32_t constant_id, const ExternalData& external, 
     return {};
   }
   if (found.kind == Constant::Kind::kNull) return {};
-  const TensorType own = *data_type(*type(found.type));
-  const int64_t count = *element_count(own.shape);
   const size_t element_bytes = static_cast<size_t>(result.host_bytes());
   if (found.kind == Constant::Kind::kExternal) {
-    const auto given = external.find(found.external_id);
-    const std::string own_name = name(constant_id);
-    const std::string label = fmt::format("graph constant {}{}", found.external_id,
-                                          own_name.empty() ? "" : " \"" + own_name + "\"");
-    if (given == external.end())
-      return bad_input(label, "is {} from outside the module, and no data was given for it",
-                       type_text(own));
-    const size_t size = static_cast<size_t>(count) * element_bytes;
-    if (given->second.size() != size)
-      return bad_input(label, "has {} bytes of data, {} needs {}", given->second.size(),
-                       type_text(own), size);
-    result.bytes.resize(std::max(result.bytes.size(), size));
-    std::memcpy(result.bytes.data() + static_cast<size_t>(first) * element_bytes,
-                given->second.data(), size);
+    SHALE_TRY(const Tensor part, external_tensor(constant_id, external));
+    std::ranges::copy(part.bytes,
+                      result.bytes.begin() + first * static_cast<std::ptrdiff_t>(element_bytes));
     return {};
   }
+  const TensorType own = *data_type(*type(found.type));
+  const int64_t count = *element_count(own.shape);
   const int64_t rows = own.shape[0], step = count / rows;
   if (found.kind == Constant::Kind::kComposite) {
     for (int64_t i = 0; i < rows; ++i)
@@ -178,6 +212,7 @@ Result<Module> Module::parse(std::span<const uint8_t> bytes) {
   module.bound_ = words[3];
   for (size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) {
     SHALE_TRY(const Instruction instruction, module.instruction_at(at));
+    if (is_skipped(instruction.opcode())) continue;
     SHALE_TRY_VOID(module.in_graph_ ? module.read_in_graph(instruction) : module.read(instruction));
   }
   if (module.in_graph_)
@@ -191,7 +226,9 @@ Result<Module> Module::parse(std::span<const uint8_t> bytes) {
     SHALE_TRY_VOID(module.check_entry_point(entry));
     for (const uint32_t id : entry.interface) {
       const auto named = module.names.find(id);
-      interface_bytes += 64 + (named == module.names.end() ? 0 : named->second.size());
+      const Type& own = *module.type(module.type(module.variable(id)->type)->element);
+      const size_t tensors = own.kind == Type::Kind::kArray ? static_cast<size_t>(own.length) : 1;
+      interface_bytes += tensors * (64 + (named == module.names.end() ? 0 : named->second.size()));
     }
     if (interface_bytes > kMaxListingBytes)
       return unsupported(module.where(entry.at),
@@ -253,7 +290,6 @@ Result<int64_t> Module::integer(const Instruction& instruction, std::string_view
 
 Result<void> Module::read(const Instruction& instruction) {
   const Opcode opcode = instruction.opcode();
-  if (is_skipped(opcode)) return {};
   switch (opcode) {
     case Opcode::kName: {
       SHALE_TRY(std::string text, string(instruction, 2, nullptr));
@@ -303,8 +339,7 @@ Result<void> Module::read(const Instruction& instruction) {
       graph.type = instruction[1];
       graph.at = instruction.at;
       graphs_.push_back(std::move(graph));
-      seen_inputs_.clear();
-      seen_outputs_.clear();
+      seen_tensors_.clear();
       return define(instruction, instruction[2], Kind::kGraph, graphs_.size() - 1);
     }
     case Opcode::kGraphInput:
@@ -425,32 +460,15 @@ Result<Shape> Module::shape_value(const Instruction& instruction, uint32_t id, s
   return shape;
 }
 
-Result<void> Module::read_graph_type(const Instruction& instruction, Type& result) {
-  result.kind = Type::Kind::kGraph;
-  result.input_count = instruction[2];
-  const auto entries = instruction.words.subspan(3);
-  if (entries.size() <= result.input_count)
-    return bad(instruction, "has {} types for {} inputs, expected at least one output",
-               entries.size(), result.input_count);
-  for (const uint32_t id : entries) {
-    const Type* entry = type(id);
-    if (entry && entry->kind == Type::Kind::kArray &&
-        type(entry->element)->kind == Type::Kind::kTensor)
-      return unsupported(where(instruction.at), "the type %{} is an array of tensors", id);
-    if (!entry || entry->kind != Type::Kind::kTensor)
-      return bad(instruction, "the type %{} is no tensor type", id);
-  }
-  result.entries.assign(entries.begin(), entries.end());
-  return {};
-}
-
 Result<void> Module::read_constant(const Instruction& instruction) {
   Constant result;
   result.type = instruction[1];
   const Type* found = type(result.type);
   if (!found) return bad(instruction, "its type %{} is no type", result.type);
   const std::optional<TensorType> data = data_type(*found);
-  if (found->kind == Type::Kind::kTensor && !found->shaped)
+  // The data of a graph constant may tell the shape.
+  if (found->kind == Type::Kind::kTensor && !found->shaped &&
+      instruction.opcode() != Opcode::kGraphConstant)
     return bad(instruction, "its type is {}, only tensors with a shape can be constants",
                tensor_text(*found));
   switch (instruction.opcode()) {
@@ -529,128 +547,6 @@ Result<void> Module::check_parts(const Instruction& instruction, const TensorTyp
       return bad(instruction, "the constituent %{} is not {}, as {} needs", id,
                  inner.shape.empty() ? std::string(dtype_info(data.dtype).name) : type_text(inner),
                  type_text(data));
-  }
-  return {};
-}
-
-Result<void> Module::read_in_graph(const Instruction& instruction) {
-  GraphDefinition& graph = graphs_.back();
-  if (is_skipped(instruction.opcode())) return {};
-  switch (instruction.opcode()) {
-    case Opcode::kGraphInput: return read_graph_input(instruction);
-    case Opcode::kGraphSetOutput: return read_graph_output(instruction);
-    case Opcode::kGraphEnd: return end_graph(instruction);
-    case Opcode::kExtInst: {
-      const std::string* set = import(instruction[3]);
-      if (!set) return bad(instruction, "%{} is no imported instruction set", instruction[3]);
-      if (set->starts_with("NonSemantic."))
-        return define(instruction, instruction[2], Kind::kOther, 0);
-      if (!graph.outputs.empty())
-        return bad(instruction, "stands behind an OpGraphSetOutputARM, outputs come last");
-      if (!type(instruction[1])) return bad(instruction, "its type %{} is no type", instruction[1]);
-      graph.body.push_back(instruction.at);
-      values_.push_back({instruction[1], graphs_.size() - 1});
-      return define(instruction, instruction[2], Kind::kValue, values_.size() - 1);
-    }
-    case Opcode::kCompositeExtract:
-      return unsupported(where(instruction.at),
-                         "splits a struct, which no operator of the integer profile gives");
-    default: return bad(instruction, "stands inside a graph");
-  }
-}
-
-Result<void> Module::read_graph_input(const Instruction& instruction) {
-  GraphDefinition& graph = graphs_.back();
-  const Type& graph_type = *type(graph.type);
-  if (!graph.body.empty() || !graph.outputs.empty())
-    return bad(instruction, "inputs come straight after OpGraphARM");
-  SHALE_TRY(const int64_t index, integer(instruction, "input index", instruction[3]));
-  if (index < 0 || index >= graph_type.input_count)
-    return bad(instruction, "the input index is {}, the graph has {} inputs", index,
-               graph_type.input_count);
-  if (instruction.size() > 4)
-    return bad(instruction, "has an element index, but input {} is no array", index);
-  const uint32_t expected = graph_type.entries[static_cast<size_t>(index)];
-  if (instruction[1] != expected)
-    return bad(instruction, "its type is %{}, input {} of the graph's type is %{}", instruction[1],
-               index, expected);
-  if (!seen_inputs_.insert(index).second)
-    return bad(instruction, "input {} is read a second time", index);
-  graph.inputs.push_back({instruction[2], static_cast<uint32_t>(index)});
-  values_.push_back({instruction[1], graphs_.size() - 1});
-  return define(instruction, instruction[2], Kind::kValue, values_.size() - 1);
-}
-
-Result<void> Module::read_graph_output(const Instruction& instruction) {
-  GraphDefinition& graph = graphs_.back();
-  const Type& graph_type = *type(graph.type);
-  const size_t count = graph_type.entries.size() - graph_type.input_count;
-  SHALE_TRY(const int64_t index, integer(instruction, "output index", instruction[2]));
-  if (index < 0 || index >= static_cast<int64_t>(count))
-    return bad(instruction, "the output index is {}, the graph has {} outputs", index, count);
-  if (instruction.size() > 3)
-    return bad(instruction, "has an element index, but output {} is no array", index);
-  const uint32_t id = instruction[1];
-  const auto found = definitions_.find(id);
-  uint32_t found_type = 0;
-  if (const Constant* as_constant = constant(id)) {
-    found_type = as_constant->type;
-  } else if (found != definitions_.end() && found->second.kind == Kind::kValue &&
-             values_[found->second.index].graph == graphs_.size() - 1) {
-    found_type = values_[found->second.index].type;
-  } else {
-    return bad(instruction, "%{} is no value of this graph and no constant", id);
-  }
-  const uint32_t expected = graph_type.entries[graph_type.input_count + static_cast<size_t>(index)];
-  if (found_type != expected)
-    return bad(instruction, "the type of %{} is %{}, output {} of the graph's type is %{}", id,
-               found_type, index, expected);
-  if (!seen_outputs_.insert(index).second)
-    return bad(instruction, "output {} is set a second time", index);
-  graph.outputs.push_back({id, static_cast<uint32_t>(index)});
-  return {};
-}
-
-Result<void> Module::end_graph(const Instruction& instruction) {
-  GraphDefinition& graph = graphs_.back();
-  const Type& graph_type = *type(graph.type);
-  const size_t count = graph_type.entries.size() - graph_type.input_count;
-  if (graph.outputs.size() != count)
-    return bad(instruction, "the graph sets {} of its {} outputs", graph.outputs.size(), count);
-  std::ranges::sort(graph.outputs, {}, &GraphOutput::index);
-  in_graph_ = false;
-  return {};
-}
-
-Result<void> Module::check_entry_point(const EntryPoint& entry) const {
-  const std::string label = where(entry.at);
-  const GraphDefinition* found = graph(entry.graph);
-  if (!found) return bad_input(label, "%{} is no OpGraphARM", entry.graph);
-  const Type& graph_type = *type(found->type);
-  if (entry.interface.size() != graph_type.entries.size())
-    return bad_input(label, "has {} interface variables, the graph has {} inputs and {} outputs",
-                     entry.interface.size(), graph_type.input_count,
-                     graph_type.entries.size() - graph_type.input_count);
-  for (size_t i = 0; i < entry.interface.size(); ++i) {
-    const uint32_t id = entry.interface[i];
-    const Variable* found_variable = variable(id);
-    if (!found_variable) return bad_input(label, "the interface id %{} is no variable", id);
-    const Type& pointer = *type(found_variable->type);
-    if (found_variable->storage_class != kUniformConstant ||
-        pointer.storage_class != kUniformConstant)
-      return bad_input(label, "the variable %{} has storage class {}, expected UniformConstant", id,
-                       found_variable->storage_class != kUniformConstant
-                           ? found_variable->storage_class
-                           : pointer.storage_class);
-    if (pointer.element != graph_type.entries[i])
-      return bad_input(label,
-                       "the variable %{} points to type %{}, entry {} of the graph's type is "
-                       "%{}",
-                       id, pointer.element, i, graph_type.entries[i]);
-    if (!sets.contains(id))
-      return bad_input(label, "the variable %{} has no DescriptorSet decoration", id);
-    if (!bindings.contains(id))
-      return bad_input(label, "the variable %{} has no Binding decoration", id);
   }
   return {};
 }

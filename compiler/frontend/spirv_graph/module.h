@@ -18,8 +18,11 @@ inline constexpr int64_t kMaxInlineBytes = int64_t{1} << 26;
 /// of their constants: entry points may share variables and graphs, so the file's size is no bound.
 inline constexpr size_t kMaxListingBytes = size_t{1} << 26;
 
-/// Bytes of external constants, by GraphConstantID.
-using ExternalData = std::map<uint32_t, std::span<const uint8_t>>;
+/// Most tensors of one array of an interface: a few words can ask for any number.
+inline constexpr int64_t kMaxArrayTensors = 1024;
+
+/// External constants by GraphConstantID.
+using ExternalData = std::map<uint32_t, const ExternalConstant*>;
 
 struct Type {
   enum class Kind : uint8_t { kScalar, kTensor, kArray, kPointer, kGraph, kOther };
@@ -31,8 +34,11 @@ struct Type {
   uint32_t element = 0;           ///< array, pointer: type id
   int64_t length = 0;             ///< array
   uint32_t storage_class = 0;     ///< pointer
-  uint32_t input_count = 0;       ///< graph
+  uint32_t input_count = 0;       ///< graph: entries that are inputs
   std::vector<uint32_t> entries;  ///< graph: type ids, inputs first
+  /// Graph: number of the first tensor of each entry, and of all; an array has one for each element.
+  std::vector<uint32_t> first_tensor;
+  uint32_t input_tensors() const { return first_tensor[input_count]; }
 };
 
 struct Constant {
@@ -50,11 +56,12 @@ struct Variable {
   uint32_t storage_class = 0;
 };
 
+/// `tensor` counts the inputs or outputs of the graph, elements of arrays each.
 struct GraphInput {
-  uint32_t id, index;
+  uint32_t id, tensor;
 };
 struct GraphOutput {
-  uint32_t value, index;
+  uint32_t value, tensor;
 };
 struct GraphDefinition {
   uint32_t type = 0;
@@ -92,13 +99,16 @@ class Module {
   std::string where(size_t at) const;
   /// OpName, or empty.
   std::string name(uint32_t id) const;
-  SpirvEntryPoint::Slot slot(uint32_t variable_id) const;
-  /// External constants that a graph uses, by GraphConstantID, with their types.
+  /// The tensors of an interface, inputs first.
+  std::vector<SpirvEntryPoint::Slot> slots(const EntryPoint& entry) const;
+  /// External constants that a graph uses, by GraphConstantID, with their types; sizes that the
+  /// module leaves open are kDynamic, [?] where it does not know the rank either.
   std::map<uint32_t, TensorType> external_constants(const GraphDefinition& graph) const;
 
   /// Element type and shape of a shaped tensor or of an array of scalars.
   std::optional<TensorType> data_type(const Type& type) const;
-  /// All elements of a constant with a data_type; `budget` is what inline constants may still take.
+  /// All elements of a constant with a data_type, or of an external one with the type that its data
+  /// give it; `budget` is what inline constants may still take.
   Result<Tensor> tensor(uint32_t constant_id, const ExternalData& external, int64_t& budget) const;
 
  private:
@@ -143,6 +153,13 @@ class Module {
   Result<void> read_constant(const Instruction& instruction);
   Result<void> check_parts(const Instruction& instruction, const TensorType& data,
                            int64_t expected) const;
+  /// The tensor of a graph's type that an index and, for an array, an element index say.
+  struct GraphTensor {
+    uint32_t number = 0;  ///< among inputs and outputs
+    uint32_t type = 0;
+  };
+  Result<GraphTensor> graph_tensor(const Instruction& instruction, bool is_input,
+                                   size_t first_operand) const;
   Result<void> read_graph_input(const Instruction& instruction);
   Result<void> read_graph_output(const Instruction& instruction);
   Result<void> end_graph(const Instruction& instruction);
@@ -151,6 +168,7 @@ class Module {
   Result<int64_t> integer(const Instruction& instruction, std::string_view what, uint32_t id) const;
   Result<std::string> string(const Instruction& instruction, size_t first, size_t* end) const;
   Result<void> define(const Instruction& instruction, uint32_t id, Kind kind, size_t index);
+  Result<Tensor> external_tensor(uint32_t constant_id, const ExternalData& external) const;
   Result<void> expand(uint32_t constant_id, const ExternalData& external, int64_t first,
                       Tensor& tensor) const;
 
@@ -162,8 +180,8 @@ class Module {
   std::vector<GraphDefinition> graphs_;
   std::vector<std::string> imports_;
   std::vector<GraphValue> values_;
-  std::unordered_map<uint32_t, size_t> external_ids_;       ///< GraphConstantID -> word
-  std::unordered_set<int64_t> seen_inputs_, seen_outputs_;  ///< of the graph being read
+  std::unordered_map<uint32_t, size_t> external_ids_;  ///< GraphConstantID -> word
+  std::unordered_set<uint32_t> seen_tensors_;          ///< of the graph being read
   bool in_graph_section_ = false, in_graph_ = false;
 };
 

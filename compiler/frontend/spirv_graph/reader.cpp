@@ -37,11 +37,12 @@ class Reader {
         entry_(entry),
         definition_(*module.graph(entry.graph)),
         options_(options),
-        input_count_(module.type(definition_.type)->input_count) {
+        slots_(module.slots(entry)),
+        input_count_(module.type(definition_.type)->input_tensors()) {
     for (const ExternalTensor& tensor : options.interface)
       interface_.emplace(std::pair{tensor.set, tensor.binding}, &tensor);
     for (const ExternalConstant& constant : options.constants)
-      external_.emplace(constant.id, constant.bytes);
+      external_.emplace(constant.id, &constant);
   }
 
   Result<Graph> read() {
@@ -62,7 +63,8 @@ class Reader {
 
   std::string slot_name(const SpirvEntryPoint::Slot& slot) const {
     const ExternalTensor* outside = external(slot);
-    return outside && !outside->name.empty() ? outside->name : slot.name;
+    if (!outside || outside->name.empty()) return slot.name;
+    return slot.element ? fmt::format("{}.{}", outside->name, *slot.element) : outside->name;
   }
 
   /// What module and outside know together.
@@ -105,9 +107,9 @@ class Reader {
 
   Result<void> read_inputs() {
     std::vector<uint32_t> ids(input_count_);  // 0: the graph does not read this input
-    for (const GraphInput& input : definition_.inputs) ids[input.index] = input.id;
+    for (const GraphInput& input : definition_.inputs) ids[input.tensor] = input.id;
     for (uint32_t i = 0; i < input_count_; ++i) {
-      SpirvEntryPoint::Slot slot = module_.slot(entry_.interface[i]);
+      SpirvEntryPoint::Slot slot = slots_[i];
       std::string wanted = slot_name(slot);
       if (wanted.empty()) wanted = module_.name(ids[i]);
       if (wanted.empty()) wanted = fmt::format("input_{}", i);
@@ -141,9 +143,9 @@ class Reader {
     if (module_.constant(output.value) || values_.contains(output.value) ||
         result_names_.contains(output.value))
       return;
-    std::string wanted = slot_name(module_.slot(entry_.interface[input_count_ + output.index]));
+    std::string wanted = slot_name(slots_[input_count_ + output.tensor]);
     if (wanted.empty()) wanted = module_.name(output.value);
-    if (wanted.empty()) wanted = fmt::format("output_{}", output.index);
+    if (wanted.empty()) wanted = fmt::format("output_{}", output.tensor);
     result_names_.emplace(output.value, names_.claim(wanted));
   }
 
@@ -257,8 +259,8 @@ class Reader {
   /// Attributes and shapes: no operator has a longer list, whatever a file holds.
   Result<void> check_list(const std::string& where, std::string_view what, uint32_t id) {
     const auto type = module_.data_type(*module_.type(module_.constant(id)->type));
-    if (type &&
-        (!is_integer(type->dtype) || type->shape.size() != 1 || type->shape[0] > 2 * kMaxRank))
+    if (!type) return bad_input(where, "the {} %{} has no shape in the module", what, id);
+    if ((!is_integer(type->dtype) || type->shape.size() != 1 || type->shape[0] > 2 * kMaxRank))
       return bad_input(where, "the {} %{} is {}, expected a list of at most {} integers", what, id,
                        type_text(*type), 2 * kMaxRank);
     return {};
@@ -267,15 +269,18 @@ class Reader {
   /// The value of a constant in the element type `as`, or in its own for kUnknown.
   Result<ValueId> constant(const std::string& where, uint32_t id, DType as) {
     const Constant& source = *module_.constant(id);
-    const std::optional<TensorType> type = module_.data_type(*module_.type(source.type));
-    if (as == DType::kUnknown && type) as = type->dtype;
+    const Type& declared = *module_.type(source.type);
+    const DType own =
+        (declared.kind == Type::Kind::kArray ? *module_.type(declared.element) : declared).dtype;
+    if (as == DType::kUnknown) as = own;
     if (const auto known = constants_.find({id, as}); known != constants_.end())
       return known->second;
     if (as == DType::kShape) SHALE_TRY_VOID(check_list(where, "shape", id));
     SHALE_TRY(Tensor tensor, data(where, "operand", id));
-    const bool converts = as != type->dtype;
-    if (converts && !is_integer(type->dtype))
-      return bad_input(where, "the operand %{} is {}, expected integers", id, type_text(*type));
+    const bool converts = as != own;
+    if (converts && !is_integer(own))
+      return bad_input(where, "the operand %{} is {}, expected integers", id,
+                       type_text(tensor.type));
     // BOOL and INT48 do not fill their bytes.
     if (converts || dtype_info(as).bits != 8 * dtype_info(as).host_bytes) {
       const IntRange range = dtype_range(as);
@@ -283,7 +288,7 @@ class Reader {
         if (const int64_t element = tensor.get(i); element < range.min || element > range.max)
           return bad_input(where, "the operand %{} has {}, {} is {} to {}", id, element,
                            dtype_info(as).wire, range.min, range.max);
-      if (converts) tensor = Tensor::from_ints({as, type->shape}, tensor.ints());
+      if (converts) tensor = Tensor::from_ints({as, tensor.type.shape}, tensor.ints());
     }
     std::string wanted = module_.name(id);
     if (wanted.empty())
@@ -297,8 +302,8 @@ class Reader {
   }
 
   Result<void> read_output(const GraphOutput& output) {
-    SpirvEntryPoint::Slot slot = module_.slot(entry_.interface[input_count_ + output.index]);
-    const std::string where = fmt::format("output {}", output.index);
+    SpirvEntryPoint::Slot slot = slots_[input_count_ + output.tensor];
+    const std::string where = fmt::format("output {}", output.tensor);
     ValueId value;
     if (const auto found = values_.find(output.value); found != values_.end()) {
       value = found->second;
@@ -352,6 +357,7 @@ class Reader {
   const EntryPoint& entry_;
   const GraphDefinition& definition_;
   const SpirvGraphOptions& options_;
+  const std::vector<SpirvEntryPoint::Slot> slots_;  ///< inputs first
   const uint32_t input_count_;
   std::map<std::pair<uint32_t, uint32_t>, const ExternalTensor*> interface_;  ///< by set, binding
   ExternalData external_;
@@ -394,7 +400,7 @@ Result<std::vector<SpirvEntryPoint>> list_spirv_entry_points(std::span<const uin
   size_t total_bytes = 0;
   for (const spirv_graph::EntryPoint& entry : module.entry_points) {
     const spirv_graph::GraphDefinition& graph = *module.graph(entry.graph);
-    const uint32_t input_count = module.type(graph.type)->input_count;
+    const uint32_t input_count = module.type(graph.type)->input_tensors();
     const auto [used, is_new] = constants.try_emplace(entry.graph);
     if (is_new) used->second = module.external_constants(graph);
     // Entry points may share graphs, so a small module could list constants without end.
@@ -405,8 +411,9 @@ Result<std::vector<SpirvEntryPoint>> list_spirv_entry_points(std::span<const uin
                          spirv_graph::kMaxListingBytes);
     SpirvEntryPoint listed;
     listed.name = entry.name;
-    for (size_t i = 0; i < entry.interface.size(); ++i)
-      (i < input_count ? listed.inputs : listed.outputs).push_back(module.slot(entry.interface[i]));
+    std::vector<SpirvEntryPoint::Slot> slots = module.slots(entry);
+    for (size_t i = 0; i < slots.size(); ++i)
+      (i < input_count ? listed.inputs : listed.outputs).push_back(std::move(slots[i]));
     for (const auto& [id, type] : used->second) {
       listed.constant_ids.push_back(id);
       listed.constant_types.push_back(type);

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -25,6 +26,7 @@ struct ExternalTensor {
 struct ExternalConstant {
   uint32_t id = 0;  ///< GraphConstantID
   std::span<const uint8_t> bytes;
+  Shape shape = {};  ///< for a constant whose shape the module leaves open; empty: not known
 };
 
 struct SpirvGraphOptions {
@@ -39,12 +41,15 @@ bool is_spirv(std::span<const uint8_t> bytes);
 
 /// One graph entry point of a module.
 struct SpirvEntryPoint {
+  /// One tensor; a variable that is an array has several, of one set and binding.
   struct Slot {
-    std::string name;  ///< OpName of the variable, or empty
+    std::string
+        name;  ///< OpName of the variable, ".2" for element 2 of an array behind it; or empty
     uint32_t set = 0;
     uint32_t binding = 0;
-    TensorType type;      ///< sizes that the module leaves open are kDynamic
-    bool ranked = false;  ///< false: the shape is empty and says nothing
+    TensorType type;                       ///< sizes that the module leaves open are kDynamic
+    bool ranked = false;                   ///< false: the shape is empty and says nothing
+    std::optional<uint32_t> element = {};  ///< of an array
   };
   std::string name;
   std::vector<Slot> inputs;
@@ -85,7 +90,7 @@ struct SpirvWriteOptions {
 /// read_spirv_graph gives the same graph again but for what the format has not: IDENTITY becomes an
 /// alias, INT4 becomes INT8, rank 0 becomes [1] (all three in the interface too: ask
 /// list_spirv_entry_points for its types), an unknown NaN mode becomes PROPAGATE. Results are
-/// equal.
+/// equal. A type with an open size has its rank alone; [?] has not even that.
 /// Errors: those of verify; kUnsupported, naming the value, for a name with a NUL, and for what
 /// does not fit an instruction's 16-bit length: an inline constant with more than 65,532 elements
 /// on an axis, a name of more than 260,000 bytes, an interface of more tensors than its instruction

@@ -191,7 +191,12 @@ class Writer {
 
   uint32_t tensor_type(const TensorType& type) {
     const uint32_t element = scalar_type(type.dtype);
+    // Of a result that is [?] nothing is known, not even its rank.
+    if (type.shape == Shape{kDynamic}) return declare(Opcode::kTypeTensor, {element});
     const uint32_t rank = integer(static_cast<uint32_t>(type.shape.size()));
+    // A type has all its sizes or none.
+    if (std::ranges::find(type.shape, kDynamic) != type.shape.end())
+      return declare(Opcode::kTypeTensor, {element, rank});
     const uint32_t array = declare(Opcode::kTypeArray, {scalar_type(DType::kInt32), rank});
     Words sizes;
     for (const int64_t size : type.shape) sizes.push_back(integer(static_cast<uint32_t>(size)));
@@ -350,7 +355,12 @@ class Writer {
 }  // namespace spirv_graph
 
 Result<SpirvGraphModule> write_spirv_graph(const Graph& graph, const SpirvWriteOptions& options) {
-  SHALE_TRY_VOID(verify(graph));
+  SHALE_TRY_VOID(verify(graph, OpenSizes::kAllowed));
+  for (uint32_t i = 0; i < graph.nodes.size(); ++i)
+    if (const Node& node = graph.nodes[i];
+        node.op == Op::kArgmax && graph.value(node.output).type.shape.empty() &&
+        graph.value(node.inputs[0]).type.shape == Shape{kDynamic})
+      return unsupported(node_label(graph, {i}), "gives a scalar of a list of open size");
   const Graph writable = spirv_graph::lowered(graph);
   return spirv_graph::Writer(writable, options).write();
 }

@@ -6,6 +6,7 @@
 #include <set>
 
 #include "compiler/frontend/vgf/layout.h"
+#include "ir/graph/tensor.h"
 
 namespace shale {
 namespace {
@@ -199,12 +200,12 @@ Result<void> check_constant(const std::string& where, const Vgf& vgf, const VgfC
   if (element == 0) return {};
   const std::optional<uint64_t> bytes = packed_bytes(resource.shape, element);
   if (!bytes)
-    return bad_input(where, "the shape [{}] of resource {} has no size",
-                     fmt::join(resource.shape, ","), constant.resource);
+    return bad_input(where, "the shape {} of resource {} has no size", shape_text(resource.shape),
+                     constant.resource);
   if (*bytes != constant.bytes.size())
-    return bad_input(where, "holds {} bytes, {}[{}] of resource {} makes {}", constant.bytes.size(),
-                     vk_format_name(resource.format), fmt::join(resource.shape, ","),
-                     constant.resource, *bytes);
+    return bad_input(where, "holds {} bytes, {}{} of resource {} makes {}", constant.bytes.size(),
+                     vk_format_name(resource.format), shape_text(resource.shape), constant.resource,
+                     *bytes);
   return {};
 }
 

@@ -56,8 +56,7 @@ std::vector<ExternalTensor> interface_of(const Vgf& vgf, const VgfSegment& segme
       tensor.set = segment.set_number(i);
       tensor.binding = slot.binding;
       tensor.type.dtype = dtype_of_vk_format(resource.format);
-      for (const int64_t dim : resource.shape)
-        tensor.type.shape.push_back(dim < 0 ? kDynamic : dim);
+      for (const int64_t dim : resource.shape) tensor.type.shape.push_back(dim);
       if (const auto name = names.find(slot.resource); name != names.end())
         tensor.name = name->second;
       tensors.push_back(std::move(tensor));
@@ -75,9 +74,11 @@ std::vector<ExternalConstant> constants_of(const Vgf& vgf, const VgfSegment& seg
   const bool by_position =
       std::all_of(ids.begin(), ids.end(), [&](uint32_t id) { return id < listed.size(); });
   std::vector<ExternalConstant> constants;
-  for (uint32_t i = 0; i < listed.size(); ++i)
-    constants.push_back(
-        {!by_number && by_position ? i : listed[i], vgf.constants[listed[i]].bytes});
+  for (uint32_t i = 0; i < listed.size(); ++i) {
+    const VgfConstant& constant = vgf.constants[listed[i]];
+    constants.push_back({!by_number && by_position ? i : listed[i], constant.bytes,
+                         vgf.resources[constant.resource].shape});
+  }
   return constants;
 }
 
@@ -127,20 +128,25 @@ Result<Vgf> graph_to_vgf(const Graph& graph) {
   segment.name = graph.name;
   segment.sets.emplace_back();
   const auto add_interface = [&](const std::vector<SpirvEntryPoint::Slot>& slots,
-                                 VgfCategory category, std::vector<VgfSlot>& of_segment) {
-    for (const SpirvEntryPoint::Slot& slot : slots) {
+                                 const std::vector<ValueId>& values, VgfCategory category,
+                                 std::vector<VgfSlot>& of_segment) {
+    for (size_t i = 0; i < slots.size(); ++i) {
+      const SpirvEntryPoint::Slot& slot = slots[i];
       of_segment.push_back({slot.binding, static_cast<uint32_t>(vgf.resources.size())});
       segment.sets[0].bindings.push_back(of_segment.back());
       VgfResource resource;
       resource.descriptor_type = kVkDescriptorTensor;
       resource.format = vk_format_of_dtype(slot.type.dtype);
       resource.category = category;
-      resource.shape = slot.type.shape;
+      // The module has all sizes of a tensor or none; a resource has each by itself.
+      const bool is_open =
+          !slot.ranked || std::ranges::find(slot.type.shape, kDynamic) != slot.type.shape.end();
+      resource.shape = is_open ? graph.value(values[i]).type.shape : slot.type.shape;
       vgf.resources.push_back(std::move(resource));
     }
   };
-  add_interface(entry.inputs, VgfCategory::kInput, segment.inputs);
-  add_interface(entry.outputs, VgfCategory::kOutput, segment.outputs);
+  add_interface(entry.inputs, graph.inputs, VgfCategory::kInput, segment.inputs);
+  add_interface(entry.outputs, graph.outputs, VgfCategory::kOutput, segment.outputs);
   for (Tensor& tensor : module.constants) {
     segment.constants.push_back(static_cast<uint32_t>(vgf.constants.size()));
     vgf.constants.push_back(

@@ -5,6 +5,7 @@
 
 #include "compiler/frontend/vgf/vgf.h"
 #include "ir/base/hash.h"
+#include "ir/graph/tensor.h"
 
 namespace shale {
 namespace {
@@ -64,8 +65,8 @@ void dump_resource(std::string& text, size_t index, const VgfResource& resource)
                                   : fmt::format(" strides [{}]", fmt::join(resource.strides, ","));
   const std::string alias =
       resource.alias_group == kVgfNone ? "" : fmt::format(" alias group {}", resource.alias_group);
-  line(text, "  {:3} {:12} {}[{}] descriptor {}{}{}", index, vgf_name(resource.category),
-       vk_format_name(resource.format), fmt::join(resource.shape, ","),
+  line(text, "  {:3} {:12} {}{} descriptor {}{}{}", index, vgf_name(resource.category),
+       vk_format_name(resource.format), shape_text(resource.shape),
        vk_descriptor_name(resource.descriptor_type), strides, alias);
   if (const std::optional<VgfSampler>& s = resource.sampler)
     line(text,

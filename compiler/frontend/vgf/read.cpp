@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "compiler/frontend/vgf/layout.h"
+#include "ir/graph/tensor.h"
 #include "ir/schema/vgf_generated.h"
 
 namespace shale {
@@ -207,6 +208,8 @@ class Reader {
           to.alias_group = from.alias_group_id();
           if (const vgf::Description* description = from.description()) {
             SHALE_TRY_VOID(copy(description->shape(), to.shape));
+            // Writers differ in the negative number of an open size.
+            for (int64_t& size : to.shape) size = std::max(size, kDynamic);
             SHALE_TRY_VOID(copy(description->strides(), to.strides));
           }
           if (from.extra_config_type() == vgf::ExtraConfig::NONE) return {};

@@ -85,7 +85,7 @@ struct VgfResource {
   uint32_t descriptor_type = kVgfNone;  ///< VkDescriptorType; kVgfNone for constants
   uint32_t format = 0;                  ///< VkFormat
   VgfCategory category = VgfCategory::kInput;
-  std::vector<int64_t> shape;    ///< outermost first; every negative number is an open dimension
+  std::vector<int64_t> shape;    ///< outermost first; kDynamic where a dimension is open
   std::vector<int64_t> strides;  ///< bytes; empty is packed
   std::optional<VgfSampler> sampler;
   uint32_t alias_group = kVgfNone;  ///< resources of one group share their storage

@@ -1,0 +1,112 @@
+// What the player makes of results with fewer channels than a picture has.
+#include "tools/shale/player.h"
+
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "ir/base/file.h"
+
+namespace shale {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// A sandwich of one pass that writes (0.25, 0.5, 0.75, 1) into an output of this format.
+std::string frame_json(const std::string& color, const std::string& output) {
+  return R"({"schema": "shale-frame/1", "render": [16, 8], "output": [16, 8], "images": [
+  {"name": "color", "role": "input", "format": ")" +
+         color + R"(", "size": "render"},
+  {"name": "output", "role": "output", "format": ")" +
+         output + R"(", "size": "output"}],
+ "passes": [{"name": "fill", "shader": "fill.comp", "over": "output", "bindings": [
+  {"binding": 0, "image": "color", "access": "read"},
+  {"binding": 1, "image": "output", "access": "write"}]}]})";
+}
+
+std::string shader(const std::string& format) {
+  return R"(#version 450
+#extension GL_EXT_samplerless_texture_functions : require
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+layout(set = 0, binding = 0) uniform texture2D color;
+layout(set = 0, binding = 1, )" +
+         format + R"() writeonly uniform image2D shown;
+void main() {
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x >= OUTPUT_WIDTH || at.y >= OUTPUT_HEIGHT) return;
+  imageStore(shown, at, vec4(0.25, 0.5, 0.75, 1.0) + 0.0 * texelFetch(color, at, 0));
+}
+)";
+}
+
+class PlayerTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::path(testing::TempDir()) /
+              fmt::format("shale_player_{}",
+                          testing::UnitTest::GetInstance()->current_test_info()->name());
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
+    std::ofstream(folder_ / "in.ppm") << "P6 16 8 255\n" << std::string(16 * 8 * 3, 'x');
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  void write_sandwich(const std::string& color, const std::string& output,
+                      const std::string& format) const {
+    std::ofstream(folder_ / "frame.json") << frame_json(color, output);
+    std::ofstream(folder_ / "fill.comp") << shader(format);
+  }
+  int shale(const std::string& arguments) const {
+    const int status = std::system(
+        fmt::format("cd {} && {} {} > said 2>&1", folder_.string(), SHALE_PROGRAM, arguments)
+            .c_str());
+    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  }
+  std::string said() const { return *read_text((folder_ / "said").string()); }
+
+  fs::path folder_;
+};
+
+TEST_F(PlayerTest, ResultsOfOneAndTwoChannelsAreShown) {
+  const struct {
+    const char *color, *output, *format;
+    int red, green, blue;
+  } kCases[]{{"rgba8_unorm", "r8_unorm", "r8", 64, 64, 64},
+             {"rgba8_unorm", "rg8_unorm", "rg8", 64, 128, 0},
+             {"rgba8_unorm", "rgba8_unorm", "rgba8", 64, 128, 191}};
+  for (const auto& test : kCases) {
+    write_sandwich(test.color, test.output, test.format);
+    ASSERT_EQ(shale("play . -i in.ppm -o out.png --validation"), 0) << test.output << said();
+    const Result<Picture> picture = load_picture((folder_ / "out.png").string());
+    ASSERT_TRUE(picture) << picture.error().text();
+    ASSERT_EQ(picture->width, 16u);
+    const uint8_t* last = picture->at(15, 7);
+    EXPECT_EQ(last[0], test.red) << test.output;
+    EXPECT_EQ(last[1], test.green) << test.output;
+    EXPECT_EQ(last[2], test.blue) << test.output;
+  }
+}
+
+TEST_F(PlayerTest, LinearResultsOfOneAndTwoChannelsAreMeasured) {
+  const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/motion.json";
+  for (const auto& [output, format] :
+       {std::pair{"r16_float", "r16f"}, {"rg16_float", "rg16f"}, std::pair{"r32_float", "r32f"}}) {
+    write_sandwich("rgba16_float", output, format);
+    EXPECT_EQ(shale(fmt::format("eval {} -m . --frames 1 --no-time --validation", scene)), 0)
+        << output << said();
+    EXPECT_EQ(shale(fmt::format("play . -i {} -o frames --frames 1 --validation", scene)), 0)
+        << output << said();
+  }
+}
+
+TEST_F(PlayerTest, OneOfTwoDisplaysIsRefused) {
+  write_sandwich("rgba16_float", "r8_unorm", "r8");
+  EXPECT_EQ(shale("play . -i in.ppm -o out.png"), 1);
+  EXPECT_NE(said().find("one of color and output is of unorm format"), std::string::npos) << said();
+  EXPECT_FALSE(fs::exists(folder_ / "out.png"));
+}
+
+}  // namespace
+}  // namespace shale

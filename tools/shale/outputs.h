@@ -1,0 +1,42 @@
+// tools/shale/outputs.h -- the files that a command will write, known before the work begins.
+#pragma once
+
+#include <cstdio>
+#include <map>
+#include <set>
+#include <string>
+
+#include "ir/base/result.h"
+
+namespace shale {
+
+/// Claims paths, so that what cannot be written is refused before there is anything to write, and two
+/// results of one command never share a file.
+class Outputs {
+ public:
+  /// `path` is an input that no result may replace.
+  void keep(const std::string& path);
+  /// `what` is the option or the result that goes to `path`; an empty path is none.
+  /// Errors: as write_file; kBadInput if another result or an input has the file.
+  Result<void> claim(const std::string& what, const std::string& path);
+  /// As claim, for a picture that is written as PNG: any suffix but .png (or none) is refused, since a
+  /// file's content is what its suffix says.
+  Result<void> claim_picture(const std::string& what, const std::string& path);
+
+ private:
+  std::map<std::string, std::string> owners_;  ///< by output_identity
+};
+
+/// File names for names that come from models: safe, and different for different names.
+class FileNames {
+ public:
+  std::string claim(const std::string& name);
+
+ private:
+  std::set<std::string> taken_;
+};
+
+/// Where a command sums up what it wrote to `path`: standard error if standard output has the result.
+std::FILE* summary_stream(const std::string& path);
+
+}  // namespace shale
