@@ -194,13 +194,13 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
 
 Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package) {
   const vk::Context& context = device.context();
-  std::string compiles = driver_compiles(package.variants.front());
+  const std::string compiles = driver_compiles(package.variants.front());
   Progress progress(compiles);
   SHALE_TRY(FrameLoop loop,
             FrameLoop::create(context, package, {.frames_in_flight = 1, .cache = device.cache()}));
   // The device may take another variant than the first.
   SHALE_TRY_VOID(sandwich_sizes(loop.variant()));
-  auto player = std::unique_ptr<Player>(new Player(context, std::move(loop), std::move(compiles)));
+  auto player = std::unique_ptr<Player>(new Player(context, std::move(loop), "first frame, " + compiles));
   SHALE_TRY_VOID(player->make_images());
   return player;
 }

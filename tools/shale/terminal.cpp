@@ -19,7 +19,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
-constexpr milliseconds kPatience{1500};  ///< after the first signal
+constexpr milliseconds kPatience{500};  ///< after the first signal
 constexpr auto kTick = std::chrono::seconds(1);
 constexpr auto kLineEvery = std::chrono::seconds(10);  ///< where it stays in a log
 

@@ -12,9 +12,9 @@ namespace shale {
 inline constexpr int kInterrupted = 130;
 
 /// First thing in the process, before there are threads: from here on SIGINT, SIGTERM and SIGHUP ask
-/// the command to stop (see interrupted()). One that does not within a second and a half, since it
-/// waits for a driver or for a file, is ended with kInterrupted, and what it waits for is said; so is
-/// one that is asked again. Also a closed pipe becomes an error of the write, and descriptors 0 to 2
+/// the command to stop (see interrupted()). One that does not within half a second, since it waits for a
+/// driver or for a file, is ended with kInterrupted, and what it waits for is said; so is one that is
+/// asked again. Also a closed pipe becomes an error of the write, and descriptors 0 to 2
 /// exist, so that no file gets their numbers.
 void prepare_process();
 
