@@ -11,9 +11,10 @@ namespace shale {
 namespace {
 
 struct Arguments {
-  std::string file, output, precision = "int8";
-  ImportArguments import;
+  std::string file, output;
+  CompileArguments compile;
   std::string what = "text";
+  bool plan = false;
   uint32_t variant = 0;
   int32_t module = -1;
   bool json = false;
@@ -280,7 +281,21 @@ Result<Dump> shader_dump(const Variant& variant, int32_t module) {
   return dump;
 }
 
+/// What would be compiled, for each target.
+Result<Dump> plan_dump(const Arguments& arguments, const ModelFiles& model) {
+  if (is_package(model.bytes)) return bad_input("--plan", "needs a model, the file is a package");
+  SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
+  SHALE_TRY(const std::vector<std::string> texts, plan_texts(model.bytes, options));
+  Dump dump{{}, Json::array()};
+  for (size_t i = 0; i < texts.size(); ++i) {
+    dump.text += (i == 0 ? "" : "\n") + texts[i];
+    dump.json.push_back({{"target", options.targets[i]}, {"plan", texts[i]}});
+  }
+  return dump;
+}
+
 Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
+  if (arguments.plan) return plan_dump(arguments, model);
   const std::vector<uint8_t>& bytes = model.bytes;
   if (bytes.empty() && model.frame)
     return bad_input("", "is a sandwich without a network, so there is no graph to print");
@@ -288,7 +303,7 @@ Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
     if (arguments.what != "text" && arguments.what != "graph")
       return bad_input("--what", "\"{}\" needs a package, the file is a model", arguments.what);
     if (arguments.what == "text" && is_vgf(bytes)) return vgf_dump(bytes);
-    SHALE_TRY(const ImportOptions import, arguments.import.options());
+    SHALE_TRY(const ImportOptions import, arguments.compile.import.options());
     if (arguments.what == "text" && is_spirv(bytes)) return spirv_dump(bytes, import);
     SHALE_TRY(const Graph graph, import_graph(bytes, import));
     return graph_dump(graph);
@@ -308,7 +323,7 @@ Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
 Result<int> dump(const Arguments& arguments) {
   Outputs outputs;
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
-  SHALE_TRY(const ModelFiles model, load_model(arguments.file, "", arguments.precision));
+  SHALE_TRY(const ModelFiles model, load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
   const Result<Dump> result = dump_file(arguments, model);
   if (!result) return in_file(model.path, result.error());
   const std::string text = arguments.json ? json_text(result->json) : result->text;
@@ -327,20 +342,22 @@ Action add_dump(CLI::App& app) {
   app.add_option("file", arguments->file,
                  fmt::format("model ({}), model folder, or package (.shale)", kModelKinds))
       ->required();
-  add_precision_option(app, arguments->precision);
   app.add_option("-o,--output", arguments->output, "write to a file instead of the terminal");
   app.add_option(
          "--what", arguments->what,
          "text: the graph, package or container; graph: the graph alone; memory: the arena; "
          "spirv: the shaders")
       ->check(CLI::IsMember({"text", "graph", "memory", "spirv"}));
-  arguments->import.add_to(app);
+  app.add_flag("--plan", arguments->plan,
+               "what would run, for each --target: resources, dispatches, bindings, copies");
+  arguments->compile.add_to(app);
   app.add_option("--variant", arguments->variant, "variant of the package");
   app.add_option("--module", arguments->module, "only this shader module");
   app.add_flag("--json", arguments->json, "print as JSON");
   app.footer(
       "Example: shale dump srpo.shale --what memory\n"
-      "         shale dump network.vgf --what graph");
+      "         shale dump network.vgf --what graph\n"
+      "         shale dump models/nss_v1_high --plan --target lavapipe,dot8-gpu");
   return [arguments] { return dump(*arguments); };
 }
 
