@@ -91,6 +91,7 @@ inline const std::map<std::string, uint32_t>& spirv_enumerants() {
       {"TANH", 13},
       {"ADD", 14},
       {"ARITHMETIC_RIGHT_SHIFT", 15},
+      {"BITWISE_XOR", 18},
       {"TABLE", 30},
       {"ABS", 31},
       {"BITWISE_NOT", 32},

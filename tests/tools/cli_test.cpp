@@ -269,8 +269,8 @@ TEST_F(Cli, ConvertNamesWhatItCannotDo) {
   ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file("s.vgf")).exit, 0);
   const std::pair<std::string, std::string> refused[] = {
       {"small.tir -o " + file("out.bin"),
-       "--to: \"bin\" is no format to write, expected one of: tosa, tir, vgf, spv"},
-      {"small.tir -o " + file("out"), "--to: \"\" is no format to write"},
+       "--to: error: \"bin\" is no format to write, expected one of: tosa, tir, vgf, spv"},
+      {"small.tir -o " + file("out"), "--to: error: \"\" is no format to write"},
       {"p.shale -o " + file("out.tosa"), "a package becomes vgf only, found tosa"},
       {"p.shale -o " + file("out.vgf"), "--weights-as-inputs"},
       {"p.shale --weights-as-inputs --variant 1 -o " + file("out.vgf"),
@@ -283,7 +283,7 @@ TEST_F(Cli, ConvertNamesWhatItCannotDo) {
        "--constant: \"1\" is not of the form ID=FILE"},
       {"s.vgf --constant 1=" + file("small.tir") + " -o " + file("out.tosa"),
        "--constant: the format holds its constants itself"},
-      {"absent.vgf -o " + file("out.tosa"), "absent.vgf: cannot open"}};
+      {"absent.vgf -o " + file("out.tosa"), "absent.vgf: error: cannot open"}};
   for (const auto& [arguments, expected] : refused) {
     const Outcome outcome = shale("convert " + file(arguments));
     EXPECT_EQ(outcome.exit, 1) << arguments << ": " << outcome.text;
@@ -376,7 +376,7 @@ TEST_F(Cli, ConstantsOfABareModuleComeFromFiles) {
   EXPECT_NE(listed.text.find("#   constants: 0 i8[1,3,3,1]"), std::string::npos) << listed.text;
   const Outcome twice = shale("verify " + file("s.spv") + options + options);
   EXPECT_EQ(twice.exit, 1);
-  EXPECT_NE(twice.text.find("--constant: constant 0 has two files"), std::string::npos)
+  EXPECT_NE(twice.text.find("--constant: error: constant 0 has two files"), std::string::npos)
       << twice.text;
 }
 

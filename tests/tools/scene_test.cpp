@@ -772,7 +772,7 @@ TEST_F(DatasetTest, NamesOfRatiosGiveReadersTheRenderSize) {
     const char* folder;
   } kCases[]{{{960, 540}, {1920, 1080}, "x2"},    {{640, 360}, {1920, 1080}, "x3"},
              {{1280, 720}, {1920, 1080}, "x1_5"}, {{1476, 830}, {1920, 1080}, "x1_3"},
-             {{8, 8}, {15, 15}, "x1_8"},          {{1129, 635}, {1920, 1080}, "x1_7"}};
+             {{8, 8}, {15, 15}, "x1_875"},        {{1129, 635}, {1920, 1080}, "x1_7"}};
   for (const auto& test : kCases)
     EXPECT_EQ(ratio_folder(ratio_of_sizes(test.render, test.output)), test.folder)
         << test.render.width;
@@ -802,8 +802,9 @@ TEST_F(SceneTest, TheProgramWritesADataset) {
                                  root.string() + " 2> " + root.string() + ".txt")
                                     .c_str());
   EXPECT_EQ(WEXITSTATUS(wrong), 1);
-  EXPECT_NE(must(read_text(root.string() + ".txt")).find("CMakeLists.txt: is not valid JSON"),
-            std::string::npos);
+  EXPECT_NE(
+      must(read_text(root.string() + ".txt")).find("CMakeLists.txt: error: is not valid JSON"),
+      std::string::npos);
   fs::remove_all(root);
   fs::remove(root.string() + ".txt");
 }

@@ -71,11 +71,9 @@ Result<void> check_input_names(const Arguments& arguments, const Variant& varian
   return {};
 }
 
-/// `ranges` in the order of the inputs.
-Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Variant& variant,
-                                        const std::vector<RandomRange>& ranges) {
+/// The inputs that come from files, in the order of the network; the others are empty.
+Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Variant& variant) {
   std::vector<Tensor> tensors;
-  std::mt19937_64 generator(arguments.random_seed.value_or(0));
   std::vector<std::string> texts = arguments.inputs;
   for (const Resource* resource : tensors_of(variant, Category::kInput)) {
     const TensorType type{resource->dtype, resource->shape};
@@ -83,7 +81,7 @@ Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Varian
       SHALE_TRY(Tensor tensor, read_npy(*file, type));
       tensors.push_back(std::move(tensor));
     } else {
-      tensors.push_back(random_tensor(type, ranges[tensors.size()], generator));
+      tensors.push_back({type, {}});
     }
   }
   return tensors;
@@ -154,6 +152,7 @@ Result<int> run(const Arguments& arguments) {
   SHALE_TRY_VOID(check_input_names(arguments, variant));
   if (graph) SHALE_TRY_VOID(match_shapes(*graph, variant));
   SHALE_TRY(const std::vector<RandomRange> ranges, ranges_of(given, variant, graph));
+  SHALE_TRY(std::vector<Tensor> inputs, read_inputs(arguments, variant));
   const std::vector<const Resource*> names = tensors_of(variant, Category::kOutput);
   std::vector<std::string> paths;
   if (!arguments.output_folder.empty()) {
@@ -166,13 +165,15 @@ Result<int> run(const Arguments& arguments) {
     }
   }
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
-  // The device refuses what it cannot run before there are inputs.
-  std::vector<Tensor> inputs, outputs;
+  // The device refuses what it cannot run before there are random inputs.
+  std::vector<Tensor> outputs;
   std::vector<DispatchTime> times;
   const bool measure = arguments.profile || !arguments.profile_file.empty();
   {
     SHALE_TRY(NetworkRun network, NetworkRun::create(device, package));
-    SHALE_TRY(inputs, read_inputs(arguments, variant, ranges));
+    std::mt19937_64 generator(arguments.random_seed.value_or(0));
+    for (size_t i = 0; i < inputs.size(); ++i)
+      if (inputs[i].bytes.empty()) inputs[i] = random_tensor(inputs[i].type, ranges[i], generator);
     SHALE_TRY_VOID(network.set_inputs(inputs));
     SHALE_TRY(outputs, run_repeatedly(network, arguments.repeat, measure ? &times : nullptr));
   }

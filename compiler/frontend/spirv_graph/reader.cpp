@@ -259,8 +259,11 @@ class Reader {
   /// Attributes and shapes: no operator has a longer list, whatever a file holds.
   Result<void> check_list(const std::string& where, std::string_view what, uint32_t id) {
     const auto type = module_.data_type(*module_.type(module_.constant(id)->type));
-    if (!type) return bad_input(where, "the {} %{} has no shape in the module", what, id);
-    if ((!is_integer(type->dtype) || type->shape.size() != 1 || type->shape[0] > 2 * kMaxRank))
+    if (!type) {
+      if (module_.constant(id)->kind != Constant::Kind::kExternal) return {};  // data() tells more
+      return bad_input(where, "the {} %{} has no shape in the module", what, id);
+    }
+    if (!is_integer(type->dtype) || type->shape.size() != 1 || type->shape[0] > 2 * kMaxRank)
       return bad_input(where, "the {} %{} is {}, expected a list of at most {} integers", what, id,
                        type_text(*type), 2 * kMaxRank);
     return {};

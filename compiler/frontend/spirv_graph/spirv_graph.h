@@ -90,11 +90,10 @@ struct SpirvWriteOptions {
 /// read_spirv_graph gives the same graph again but for what the format has not: IDENTITY becomes an
 /// alias, INT4 becomes INT8, rank 0 becomes [1] (all three in the interface too: ask
 /// list_spirv_entry_points for its types), an unknown NaN mode becomes PROPAGATE. Results are
-/// equal. A type with an open size has its rank alone; [?] has not even that.
-/// Errors: those of verify; kUnsupported, naming the value, for a name with a NUL, and for what
-/// does not fit an instruction's 16-bit length: an inline constant with more than 65,532 elements
-/// on an axis, a name of more than 260,000 bytes, an interface of more tensors than its instruction
-/// holds.
+/// equal. A type with an open size has its rank alone; a result that is [?] has not even that.
+/// Errors: those of verify; kUnsupported, naming the value, for what does not fit an instruction's
+/// 16-bit length: an inline constant with more than 65,532 elements on an axis, a name of more than
+/// 260,000 bytes, an interface of more tensors than its instruction holds.
 Result<SpirvGraphModule> write_spirv_graph(const Graph& graph, const SpirvWriteOptions& options);
 
 }  // namespace shale

@@ -101,8 +101,6 @@ class Writer {
 
   Result<void> check_names() const {
     const auto check = [](const std::string& where, const std::string& name) -> Result<void> {
-      if (name.find('\0') != std::string::npos)
-        return unsupported(where, "its name has a NUL, which ends a name in SPIR-V");
       if (name.size() > kMaxNameBytes)
         return unsupported(where, "its name has {} bytes, the writer's limit is {}", name.size(),
                            kMaxNameBytes);
@@ -191,8 +189,6 @@ class Writer {
 
   uint32_t tensor_type(const TensorType& type) {
     const uint32_t element = scalar_type(type.dtype);
-    // Of a result that is [?] nothing is known, not even its rank.
-    if (type.shape == Shape{kDynamic}) return declare(Opcode::kTypeTensor, {element});
     const uint32_t rank = integer(static_cast<uint32_t>(type.shape.size()));
     // A type has all its sizes or none.
     if (std::ranges::find(type.shape, kDynamic) != type.shape.end())
@@ -204,7 +200,14 @@ class Writer {
     return declare(Opcode::kTypeTensor, {element, rank, shape});
   }
 
-  uint32_t type_of(ValueId id) { return tensor_type(graph_.value(id).type); }
+  uint32_t type_of(ValueId id) {
+    const TensorType& type = graph_.value(id).type;
+    // Of a result that is [?] nothing is known, not even its rank; an input is a list.
+    if (type.shape == Shape{kDynamic} &&
+        std::ranges::find(graph_.inputs, id) == graph_.inputs.end())
+      return declare(Opcode::kTypeTensor, {scalar_type(type.dtype)});
+    return tensor_type(type);
+  }
 
   uint32_t scalar(DType dtype, int64_t value) {
     const uint32_t type = scalar_type(dtype);
