@@ -58,28 +58,46 @@ Error io_error(std::string where, fmt::format_string<Args...> format, Args&&... 
   return {ErrorCode::kIo, fmt::format(format, std::forward<Args>(args)...), std::move(where)};
 }
 
-/// A T or an Error; the member names are those of std::expected.
+[[noreturn]] inline void check_failed(const char* condition, const char* file, int line) {
+  std::fprintf(stderr, "%s:%d: internal error: %s\n", file, line, condition);
+  std::abort();
+}
+
+/// A T or an Error; the member names are those of std::expected. To ask for the one where it holds
+/// the other is a bug, and ends the program with what it holds.
 template <typename T>
 class [[nodiscard]] Result {
  public:
   using value_type = T;
-  Result(T value) : state_(std::in_place_index<0>, std::move(value)) {}
+  // "value" would shadow a member where T is a pointer to a function, says g++ 12.
+  Result(T result) : state_(std::in_place_index<0>, std::move(result)) {}
   Result(Error error) : state_(std::in_place_index<1>, std::move(error)) {}
 
   bool has_value() const { return state_.index() == 0; }
   explicit operator bool() const { return has_value(); }
-  T& value() & { return *std::get_if<0>(&state_); }
-  const T& value() const& { return *std::get_if<0>(&state_); }
-  T&& value() && { return std::move(*std::get_if<0>(&state_)); }
+  T& value() & { return *held<0>(state_); }
+  const T& value() const& { return *held<0>(state_); }
+  T&& value() && { return std::move(value()); }
   T& operator*() & { return value(); }
   const T& operator*() const& { return value(); }
-  T&& operator*() && { return std::move(*this).value(); }
-  T* operator->() { return std::get_if<0>(&state_); }
-  const T* operator->() const { return std::get_if<0>(&state_); }
-  Error& error() { return *std::get_if<1>(&state_); }
-  const Error& error() const { return *std::get_if<1>(&state_); }
+  T&& operator*() && { return std::move(value()); }
+  T* operator->() { return &value(); }
+  const T* operator->() const { return &value(); }
+  Error& error() { return *held<1>(state_); }
+  const Error& error() const { return *held<1>(state_); }
 
  private:
+  template <size_t kIndex, typename State>
+  static auto* held(State& state) {
+    if (state.index() != kIndex) {
+      const std::string what = kIndex == 0 ? "a value is asked of a Result that holds the error: " +
+                                                 std::get_if<1>(&state)->text()
+                                           : "an error is asked of a Result that holds a value";
+      check_failed(what.c_str(), __FILE__, __LINE__);
+    }
+    return std::get_if<kIndex>(&state);
+  }
+
   std::variant<T, Error> state_;
 };
 
@@ -92,17 +110,22 @@ class [[nodiscard]] Result<void> {
 
   bool has_value() const { return !error_.has_value(); }
   explicit operator bool() const { return has_value(); }
-  Error& error() { return *error_; }
-  const Error& error() const { return *error_; }
+  Error& error() {
+    check_error();
+    return *error_;
+  }
+  const Error& error() const {
+    check_error();
+    return *error_;
+  }
 
  private:
+  void check_error() const {
+    if (!error_) check_failed("an error is asked of a Result that holds none", __FILE__, __LINE__);
+  }
+
   std::optional<Error> error_;
 };
-
-[[noreturn]] inline void check_failed(const char* condition, const char* file, int line) {
-  std::fprintf(stderr, "%s:%d: internal error: %s\n", file, line, condition);
-  std::abort();
-}
 
 }  // namespace shale
 

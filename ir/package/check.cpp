@@ -163,8 +163,7 @@ Result<void> check_image_binding(const std::string& where, const Binding& bindin
   if (is_linear(image) && segment == SegmentKind::kCompute) {
     SHALE_TRY_VOID(check_buffer_binding(where, binding, image));
   } else {
-    const bool shaders =
-        is_sampled(binding.type) || binding.type == BindingType::kStorageImage;
+    const bool shaders = is_sampled(binding.type) || binding.type == BindingType::kStorageImage;
     if (segment == SegmentKind::kCompute && !shaders)
       return bad_input(where, "a buffer descriptor leads to the image \"{}\"", image.name);
     if (binding.view_format != ImageFormat::kNone)

@@ -24,8 +24,8 @@ static_assert(static_cast<uint32_t>(fbs::DeviceClass::MAX) + 1 == kDeviceClassCo
 /// Lengths of files are multiples of this, so that no cut goes unseen in the padding at the end.
 constexpr size_t kFileAlignment = 8;
 
-// Source of the last two columns: Vulkan 1.3, "Required format support" (linear filters: table 66 and
-// on) and shaderStorageImageExtendedFormats; rg32ui and r8i by the capability of SPIR-V.
+// Source of the last two columns: Vulkan 1.3, "Required format support" (linear filters: table 66
+// and on) and shaderStorageImageExtendedFormats; rg32ui and r8i by the capability of SPIR-V.
 constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
     {ImageFormat::kNone, "none", "", 0, 0, false, false},
     {ImageFormat::kRgba8Unorm, "rgba8_unorm", "rgba8", 4, 4, true, false},

@@ -213,9 +213,9 @@ struct View {
 
 enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1, kTransfer = 2 };
 
-/// What the dispatches of a kTransfer segment do, by their kernel; they have no module. A copy reads
-/// binding 0 and writes binding 1, images of one format and extent of which one is linear and the
-/// other is not. A clear writes zeros to binding 0, an image.
+/// What the dispatches of a kTransfer segment do, by their kernel; they have no module. A copy
+/// reads binding 0 and writes binding 1, images of one format and extent of which one is linear and
+/// the other is not. A clear writes zeros to binding 0, an image.
 inline constexpr std::string_view kCopyKernel = "copy", kClearKernel = "clear";
 
 /// Dispatches in order. A pre or post pass is a kCompute or kTransfer segment around the kGraph
@@ -306,8 +306,8 @@ std::vector<uint8_t> write_package(const Package& package);
 
 /// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum
 /// values, then check_package. Memory and time are bounded by the length of the file. What files
-/// before 1.4 do not say is filled in: the device class from the target's name, the program "frame",
-/// Feature::kStorageImageExtended where storage images need it.
+/// before 1.4 do not say is filled in: the device class from the target's name, the program
+/// "frame", Feature::kStorageImageExtended where storage images need it.
 /// Errors: kBadInput (or kUnsupported for a newer major version), naming what and where.
 Result<Package> read_package(std::span<const uint8_t> bytes);
 

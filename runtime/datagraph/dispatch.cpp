@@ -40,7 +40,7 @@ LayoutKey layout_key(const Dispatch& dispatch, uint32_t push_bytes) {
 }
 
 /// As BindingType::kSampler says.
-Result<vk::SamplerHandle> create_sampler(VkDevice device) {
+Result<vk::SamplerHandle> create_sampler(const vk::Context& context) {
   auto info = vk::init<VkSamplerCreateInfo>(VK_STRUCTURE_TYPE_SAMPLER_CREATE_INFO);
   info.magFilter = VK_FILTER_LINEAR;
   info.minFilter = VK_FILTER_LINEAR;
@@ -48,10 +48,11 @@ Result<vk::SamplerHandle> create_sampler(VkDevice device) {
   info.addressModeU = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
   info.addressModeV = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
   info.addressModeW = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
-  return vk::make<vk::SamplerHandle>(vkCreateSampler, "vkCreateSampler", device, info);
+  return vk::make(context.vk.CreateSampler, context.vk.DestroySampler, "vkCreateSampler",
+                  context.device, info);
 }
 
-Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& key,
+Result<vk::SetLayoutHandle> create_set_layout(const vk::Context& context, const LayoutKey& key,
                                               VkSampler sampler) {
   std::vector<VkDescriptorSetLayoutBinding> bindings;
   for (const auto& [number, type] : key.types)  // the sampler counts for those that have one
@@ -60,11 +61,12 @@ Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& 
       VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
   info.bindingCount = static_cast<uint32_t>(bindings.size());
   info.pBindings = bindings.data();
-  return vk::make<vk::SetLayoutHandle>(vkCreateDescriptorSetLayout, "vkCreateDescriptorSetLayout",
-                                       device, info);
+  return vk::make(context.vk.CreateDescriptorSetLayout, context.vk.DestroyDescriptorSetLayout,
+                  "vkCreateDescriptorSetLayout", context.device, info);
 }
 
-Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetLayout set_layout,
+Result<vk::PipelineLayoutHandle> create_layout(const vk::Context& context,
+                                               VkDescriptorSetLayout set_layout,
                                                uint32_t push_bytes) {
   auto info = vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
   info.setLayoutCount = 1;
@@ -72,19 +74,19 @@ Result<vk::PipelineLayoutHandle> create_layout(VkDevice device, VkDescriptorSetL
   const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, push_bytes};
   info.pushConstantRangeCount = push_bytes > 0 ? 1 : 0;
   info.pPushConstantRanges = &range;
-  return vk::make<vk::PipelineLayoutHandle>(vkCreatePipelineLayout, "vkCreatePipelineLayout",
-                                            device, info);
+  return vk::make(context.vk.CreatePipelineLayout, context.vk.DestroyPipelineLayout,
+                  "vkCreatePipelineLayout", context.device, info);
 }
 
-Result<vk::PipelineHandle> create_pipeline(VkDevice device, const Spirv& words,
+Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spirv& words,
                                            VkPipelineLayout layout, VkPipelineCache cache) {
   auto module_info =
       vk::init<VkShaderModuleCreateInfo>(VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
   module_info.codeSize = words.size() * sizeof(uint32_t);
   module_info.pCode = words.data();
   SHALE_TRY(const auto module,
-            vk::make<vk::ShaderModuleHandle>(vkCreateShaderModule, "vkCreateShaderModule", device,
-                                             module_info));
+            vk::make(context.vk.CreateShaderModule, context.vk.DestroyShaderModule,
+                     "vkCreateShaderModule", context.device, module_info));
   auto info = vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
   info.layout = layout;
   info.stage = vk::init<VkPipelineShaderStageCreateInfo>(
@@ -93,9 +95,10 @@ Result<vk::PipelineHandle> create_pipeline(VkDevice device, const Spirv& words,
   info.stage.module = module.get();
   info.stage.pName = "main";
   VkPipeline pipeline = VK_NULL_HANDLE;
-  SHALE_TRY_VOID(vk::check(vkCreateComputePipelines(device, cache, 1, &info, nullptr, &pipeline),
-                           "vkCreateComputePipelines"));
-  return vk::PipelineHandle(device, pipeline);
+  SHALE_TRY_VOID(vk::check(
+      context.vk.CreateComputePipelines(context.device, cache, 1, &info, nullptr, &pipeline),
+      "vkCreateComputePipelines"));
+  return vk::PipelineHandle(context.device, pipeline, context.vk.DestroyPipeline);
 }
 
 }  // namespace
@@ -113,29 +116,33 @@ Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps) 
 }
 
 Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, const Package& package,
-                                                 Scope scope, VkPipelineCache cache) {
+                                                 const Selection& select, VkPipelineCache cache) {
   SHALE_TRY_VOID(check_package(package));
   SHALE_TRY(const uint32_t index, choose_variant(package, context.caps));
   const Variant& variant = package.variants[index];
-  if (variant.programs.size() > 1) return unsupported("", "several programs");
   std::unique_ptr<Kernels> result(new Kernels);
   result->context_ = context;
   result->variant_ = variant;
   result->variant_.modules.clear();
 
+  SHALE_TRY(const auto programs, select(result->variant_));
   std::vector<Wanted> dispatches;
-  std::vector<std::vector<Access>> touched;
-  for (const Segment& segment : result->variant_.segments) {
-    const bool is_graph = segment.kind == SegmentKind::kGraph;
-    if (scope == Scope::kGraph && !is_graph) continue;
-    for (const Dispatch& dispatch : segment.dispatches) {
-      dispatches.push_back(
-          {&dispatch, is_graph ? 0 : param_bytes(variant), segment.kind == SegmentKind::kTransfer});
-      touched.push_back(accesses(result->variant_, dispatch));
+  std::vector<bool> barriers;
+  for (const std::span<const Segment> segments : programs) {
+    result->program_begins_.push_back(dispatches.size());
+    std::vector<std::vector<Access>> touched;
+    for (const Segment& segment : segments) {
+      const bool is_graph = segment.kind == SegmentKind::kGraph;
+      for (const Dispatch& dispatch : segment.dispatches) {
+        dispatches.push_back({&dispatch, is_graph ? 0 : param_bytes(variant),
+                              segment.kind == SegmentKind::kTransfer});
+        touched.push_back(accesses(result->variant_, dispatch));
+      }
     }
+    std::ranges::copy(plan_barriers(touched), std::back_inserter(barriers));
   }
+  result->program_begins_.push_back(dispatches.size());
   SHALE_TRY_VOID(result->create_pipelines(variant, dispatches, cache));
-  const std::vector<bool> barriers = plan_barriers(touched);
   for (size_t i = 0; i < barriers.size(); ++i) result->steps_[i].barrier_before = barriers[i];
 
   if (!package.weights.empty()) {
@@ -162,7 +169,7 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
     });
   };
   if (std::ranges::any_of(dispatches, has_sampler)) {
-    SHALE_TRY(sampler_, create_sampler(context_.device));
+    SHALE_TRY(sampler_, create_sampler(context_));
   }
   for (const auto& [dispatch, push_bytes, is_transfer] : dispatches) {
     if (is_transfer) {
@@ -174,9 +181,10 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
     const auto [layout, new_layout] =
         layout_index.try_emplace(layout_key(*dispatch, push_bytes), layouts_.size());
     if (new_layout) {
-      SHALE_TRY(set_layouts_.emplace_back(), create_set_layout(context_.device, layout->first, sampler_.get()));
+      SHALE_TRY(set_layouts_.emplace_back(),
+                create_set_layout(context_, layout->first, sampler_.get()));
       SHALE_TRY(layouts_.emplace_back(),
-                create_layout(context_.device, set_layouts_.back().get(), push_bytes));
+                create_layout(context_, set_layouts_.back().get(), push_bytes));
     }
     const auto [pipeline, new_pipeline] =
         pipeline_index.try_emplace({dispatch->module, layout->second}, wanted.size());
@@ -198,7 +206,7 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
   });
   parallel_for(order.size(), [&](size_t n) {
     const size_t i = order[n];
-    auto pipeline = create_pipeline(context_.device, variant.modules[wanted[i].module],
+    auto pipeline = create_pipeline(context_, variant.modules[wanted[i].module],
                                     layouts_[wanted[i].layout].get(), cache);
     if (pipeline) {
       pipelines_[i] = std::move(*pipeline);
@@ -227,7 +235,16 @@ void Kernels::barrier(VkCommandBuffer commands) const {
     reads |= VK_ACCESS_TRANSFER_READ_BIT;
     writes |= VK_ACCESS_TRANSFER_WRITE_BIT;
   }
-  vk::memory_barrier(commands, stages, writes, stages, reads | writes);
+  vk::memory_barrier(context_, commands, stages, writes, stages, reads | writes);
+}
+
+bool Kernels::record_upload(VkCommandBuffer commands) const {
+  if (!weights_.staging || upload_recorded_.test_and_set()) return false;
+  vk::record_upload(context_, commands, weights_);
+  vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                     VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                     VK_ACCESS_SHADER_READ_BIT);
+  return true;
 }
 
 uint64_t Kernels::tensor_alignment() const {
@@ -254,26 +271,28 @@ Result<DescriptorSets> DescriptorSets::create(const Kernels& kernels,
   for (const auto& [type, count] : counts) sizes.push_back({type, count});
   // A pool must offer something, even if no dispatch binds anything.
   if (sizes.empty()) sizes.push_back({VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, 1});
-  const VkDevice device = kernels.context().device;
+  const vk::Context& context = kernels.context();
   auto pool_info =
       vk::init<VkDescriptorPoolCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO);
   pool_info.maxSets = static_cast<uint32_t>(steps.size());
   pool_info.poolSizeCount = static_cast<uint32_t>(sizes.size());
   pool_info.pPoolSizes = sizes.data();
-  SHALE_TRY(result.pool_, vk::make<vk::DescriptorPoolHandle>(
-                              vkCreateDescriptorPool, "vkCreateDescriptorPool", device, pool_info));
+  SHALE_TRY(result.pool_,
+            vk::make(context.vk.CreateDescriptorPool, context.vk.DestroyDescriptorPool,
+                     "vkCreateDescriptorPool", context.device, pool_info));
   auto set_info =
       vk::init<VkDescriptorSetAllocateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO);
   set_info.descriptorPool = result.pool_.get();
   set_info.descriptorSetCount = static_cast<uint32_t>(layouts.size());
   set_info.pSetLayouts = layouts.data();
-  SHALE_TRY_VOID(vk::check(vkAllocateDescriptorSets(device, &set_info, result.sets_.data()),
-                           "vkAllocateDescriptorSets"));
+  SHALE_TRY_VOID(
+      vk::check(context.vk.AllocateDescriptorSets(context.device, &set_info, result.sets_.data()),
+                "vkAllocateDescriptorSets"));
   return result;
 }
 
 Result<void> DescriptorSets::write(size_t index, const TargetOf& target) {
-  const VkDevice device = kernels_->context().device;
+  const vk::Context& context = kernels_->context();
   const std::vector<Binding>& bindings = steps_[index]->dispatch->bindings;
   std::vector<VkDescriptorBufferInfo> buffers(bindings.size());
   std::vector<VkDescriptorImageInfo> images(bindings.size());
@@ -292,8 +311,9 @@ Result<void> DescriptorSets::write(size_t index, const TargetOf& target) {
       info.format = vk::vk_format(binding.view_format);
       info.offset = to.offset;
       info.range = resource.size_bytes;
-      SHALE_TRY(views.emplace_back(), vk::make<vk::BufferViewHandle>(
-                                          vkCreateBufferView, "vkCreateBufferView", device, info));
+      SHALE_TRY(views.emplace_back(),
+                vk::make(context.vk.CreateBufferView, context.vk.DestroyBufferView,
+                         "vkCreateBufferView", context.device, info));
       texels[i] = views.back().get();
     }
     auto write = vk::init<VkWriteDescriptorSet>(VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET);
@@ -306,23 +326,25 @@ Result<void> DescriptorSets::write(size_t index, const TargetOf& target) {
     write.pTexelBufferView = &texels[i];
     writes.push_back(write);
   }
-  vkUpdateDescriptorSets(device, static_cast<uint32_t>(writes.size()), writes.data(), 0, nullptr);
+  context.vk.UpdateDescriptorSets(context.device, static_cast<uint32_t>(writes.size()),
+                                  writes.data(), 0, nullptr);
   texel_views_[index] = std::move(views);
   return {};
 }
 
 namespace {
 
-void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const Variant& variant,
+void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const Kernels& kernels,
                      const TargetOf& target) {
+  const vk::Functions& vk = kernels.context().vk;
   const Target first = target(transfer.bindings[0]);
-  const Resource& image = variant.resources[transfer.bindings[0].resource];
+  const Resource& image = kernels.variant().resources[transfer.bindings[0].resource];
   if (transfer.kernel == kClearKernel) {
     const VkClearColorValue zero{};
     if (first.buffer)
-      vkCmdFillBuffer(commands, first.buffer, first.offset, image.size_bytes, 0);
+      vk.CmdFillBuffer(commands, first.buffer, first.offset, image.size_bytes, 0);
     else
-      vkCmdClearColorImage(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
+      vk.CmdClearColorImage(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
                            &vk::kWholeImage);
     return;
   }
@@ -333,34 +355,41 @@ void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const V
   copy.imageSubresource = {VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1};
   copy.imageExtent = {image.width, image.height, 1};
   if (first.buffer)
-    vkCmdCopyBufferToImage(commands, first.buffer, to.image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
+    vk.CmdCopyBufferToImage(commands, first.buffer, to.image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
   else
-    vkCmdCopyImageToBuffer(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, to.buffer, 1, &copy);
+    vk.CmdCopyImageToBuffer(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, to.buffer, 1, &copy);
 }
 
 }  // namespace
 
-void record_steps(VkCommandBuffer commands, const Kernels& kernels,
+Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps) {
+  if (timestamps && timestamps->intervals() < steps)
+    return bad_input("", "the timestamps hold {} intervals, {} dispatches need one each",
+                     timestamps->intervals(), steps);
+  return {};
+}
+
+void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<const Step> steps,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
                   const TargetOf& target, vk::Timestamps* timestamps) {
-  const std::span<const Step> steps = kernels.steps();
+  const vk::Functions& vk = kernels.context().vk;
   if (timestamps) timestamps->start(commands);
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& step = steps[i];
     if (step.barrier_before) kernels.barrier(commands);
     if (step.is_transfer) {
-      record_transfer(commands, *step.dispatch, kernels.variant(), target);
+      record_transfer(commands, *step.dispatch, kernels, target);
       if (timestamps) timestamps->mark(commands);
       continue;
     }
-    vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
-    vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],
-                            0, nullptr);
+    vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
+    vk.CmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],
+                             0, nullptr);
     if (step.takes_params)
-      vkCmdPushConstants(commands, step.layout, VK_SHADER_STAGE_COMPUTE_BIT, 0,
-                         static_cast<uint32_t>(params.size()), params.data());
+      vk.CmdPushConstants(commands, step.layout, VK_SHADER_STAGE_COMPUTE_BIT, 0,
+                          static_cast<uint32_t>(params.size()), params.data());
     const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
-    vkCmdDispatch(commands, grid[0], grid[1], grid[2]);
+    vk.CmdDispatch(commands, grid[0], grid[1], grid[2]);
     if (timestamps) timestamps->mark(commands);
   }
 }

@@ -3,6 +3,7 @@
 // interface.
 #pragma once
 
+#include <atomic>
 #include <functional>
 #include <memory>
 #include <span>
@@ -34,29 +35,43 @@ struct Step {
   bool barrier_before = false;
 };
 
-/// Which segments of a variant are made ready.
-enum class Scope { kGraph, kFrame };
+/// Which segments of a variant are made ready: those of each program that is to be recorded, which
+/// are a part of the variant's.
+/// Errors: its own.
+using Selection = std::function<Result<std::vector<std::span<const Segment>>>(const Variant&)>;
 
 /// One variant of a package on a device. Its address is kept by what is made from it.
 class Kernels {
  public:
   /// Takes the first variant that the device meets, creates one pipeline per unique module and
-  /// descriptor layout, on all cores, and uploads the weights. `cache` may be VK_NULL_HANDLE.
-  /// Errors: kBadInput (check_package), kDevice (no variant fits, telling why for each; or the
-  /// device refuses).
+  /// descriptor layout, on all cores, and gets the weights ready. `cache` may be VK_NULL_HANDLE.
+  /// Submits nothing.
+  /// Errors: kBadInput (check_package), those of `select`, kDevice (no variant fits, telling why
+  /// for each; or the device refuses).
   static Result<std::unique_ptr<Kernels>> create(const vk::Context& context, const Package& package,
-                                                 Scope scope, VkPipelineCache cache);
+                                                 const Selection& select, VkPipelineCache cache);
 
   const vk::Context& context() const { return context_; }
   /// Without the words of its modules.
   const Variant& variant() const { return variant_; }
-  /// The dispatches of the scope, in order, with the barriers between them.
-  std::span<const Step> steps() const { return steps_; }
-  VkBuffer weights() const { return weights_.get(); }
+  size_t program_count() const { return program_begins_.size() - 1; }
+  /// The dispatches of a program, in order, with the barriers between them.
+  std::span<const Step> steps(size_t program) const {
+    return std::span(steps_).subspan(program_begins_[program],
+                                     program_begins_[program + 1] - program_begins_[program]);
+  }
+  VkBuffer weights() const { return weights_.buffer.get(); }
+
+  /// Once, from any thread: records the copy of the weights to where the host cannot write, with
+  /// the barrier behind it. Later calls, or if nothing is to copy, do nothing and return false.
+  bool record_upload(VkCommandBuffer commands) const;
+  /// Ends what record_upload left to copy from: the device is done with it.
+  void release_staging() { weights_.staging = {}; }
+  const vk::Upload& weight_memory() const { return weights_; }
 
   /// A barrier between earlier and later steps, for all that they do.
   void barrier(VkCommandBuffer commands) const;
-  /// True if the scope has transfers.
+  /// True if there are transfers among the steps.
   bool has_transfers() const { return has_transfers_; }
 
   /// Offsets of caller's buffers must be multiples of this.
@@ -74,12 +89,14 @@ class Kernels {
 
   vk::Context context_;
   Variant variant_;
-  vk::Buffer weights_;
+  vk::Upload weights_;
+  mutable std::atomic_flag upload_recorded_;
   vk::SamplerHandle sampler_;  // empty if no dispatch has one
   std::vector<vk::SetLayoutHandle> set_layouts_;
   std::vector<vk::PipelineLayoutHandle> layouts_;
   std::vector<vk::PipelineHandle> pipelines_;
-  std::vector<Step> steps_;
+  std::vector<Step> steps_;             // program by program
+  std::vector<size_t> program_begins_;  // in steps_, and the end
   bool has_transfers_ = false;
 };
 
@@ -115,12 +132,15 @@ class DescriptorSets {
   std::vector<std::vector<vk::BufferViewHandle>> texel_views_;  // by set
 };
 
-/// Records the steps of a variant in order, each with its set and the barrier before it; `params`
+/// Records steps of `kernels` in order, each with its set and the barrier before it; `params`
 /// are the push constants of steps that take them, `target` answers for the ends of transfers,
 /// `timestamps` may be null and otherwise is started and marked after each step.
-void record_steps(VkCommandBuffer commands, const Kernels& kernels,
+void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<const Step> steps,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
                   const TargetOf& target, vk::Timestamps* timestamps);
+
+/// Errors: kBadInput if there are timestamps of fewer intervals than steps.
+Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps);
 
 /// Index of the first variant that a device with `caps` can run.
 /// Errors: kDevice, telling what is missing for each variant.

@@ -1,36 +1,57 @@
 #include "runtime/datagraph/pipeline.h"
 
-#include <algorithm>
-
 #include "runtime/datagraph/dispatch.h"
 
 namespace shale {
 
+namespace {
+
+/// Errors: as DataGraphPipeline::create says.
+Result<const Segment*> find_graph(const Variant& variant, const std::string& name) {
+  const Segment* found = nullptr;
+  for (const Segment& segment : variant.segments) {
+    if (segment.kind != SegmentKind::kGraph || (!name.empty() && segment.name != name)) continue;
+    if (found)
+      return bad_input("",
+                       "the package has several networks, such as \"{}\" and \"{}\", and none is "
+                       "named",
+                       found->name, segment.name);
+    found = &segment;
+  }
+  if (!found && !name.empty()) return bad_input("", "the package has no network \"{}\"", name);
+  if (!found) return bad_input("", "the package has no network, only passes");
+  for (const Dispatch& dispatch : found->dispatches)
+    for (const Binding& binding : dispatch.bindings)
+      if (variant.resources[binding.resource].history_depth != 0)
+        return unsupported(fmt::format("tensor \"{}\"", variant.resources[binding.resource].name),
+                           "is a history, which only a frame loop keeps");
+  return found;
+}
+
+}  // namespace
+
 Result<DataGraphPipeline> DataGraphPipeline::create(const vk::Context& device,
                                                     const Package& package,
                                                     const DataGraphPipelineOptions& options) {
-  const auto has_graph = [](const Variant& variant) {
-    return std::any_of(variant.segments.begin(), variant.segments.end(),
-                       [](const Segment& s) { return s.kind == SegmentKind::kGraph; });
+  const Segment* graph = nullptr;
+  const auto select = [&](const Variant& variant) -> Result<std::vector<std::span<const Segment>>> {
+    SHALE_TRY(graph, find_graph(variant, options.graph));
+    return std::vector{std::span(graph, 1)};
   };
-  if (!std::all_of(package.variants.begin(), package.variants.end(), has_graph))
-    return bad_input("", "the package has no network, only passes");
-  SHALE_TRY(auto kernels, Kernels::create(device, package, Scope::kGraph, options.cache));
-  return DataGraphPipeline(std::move(kernels));
+  SHALE_TRY(auto kernels, Kernels::create(device, package, select, options.cache));
+  return DataGraphPipeline(std::move(kernels), graph);
 }
 
-DataGraphPipeline::DataGraphPipeline(std::unique_ptr<Kernels> kernels)
-    : kernels_(std::move(kernels)) {}
+DataGraphPipeline::DataGraphPipeline(std::unique_ptr<Kernels> kernels, const Segment* graph)
+    : kernels_(std::move(kernels)), graph_(graph) {}
 DataGraphPipeline::DataGraphPipeline(DataGraphPipeline&&) noexcept = default;
 DataGraphPipeline& DataGraphPipeline::operator=(DataGraphPipeline&&) noexcept = default;
 DataGraphPipeline::~DataGraphPipeline() = default;
 
 const Variant& DataGraphPipeline::variant() const { return kernels_->variant(); }
 
-const Segment& DataGraphPipeline::graph() const {
-  const std::vector<Segment>& segments = variant().segments;
-  return *std::find_if(segments.begin(), segments.end(),
-                       [](const Segment& segment) { return segment.kind == SegmentKind::kGraph; });
-}
+const Segment& DataGraphPipeline::graph() const { return *graph_; }
+
+void DataGraphPipeline::release_staging() { kernels_->release_staging(); }
 
 }  // namespace shale

@@ -8,6 +8,7 @@
 #include <vulkan/vulkan.h>
 
 #include <memory>
+#include <string>
 
 #include "ir/package/package.h"
 #include "runtime/vk/device.h"
@@ -19,16 +20,19 @@ class Kernels;
 struct DataGraphPipelineOptions {
   /// Where compiled pipelines are looked up and left, such as vk::PipelineCache::get(). Not owned.
   VkPipelineCache cache = VK_NULL_HANDLE;
+  /// Name of the graph segment; may be left out where there is only one.
+  std::string graph = {};
 };
 
-/// Pipelines and weights of the graph segment of one variant. Must outlive its sessions; its device
+/// Pipelines and weights of a graph segment of one variant. Must outlive its sessions; its device
 /// must outlive it. May be used from many threads.
 class DataGraphPipeline {
  public:
-  /// Takes the first variant that the device meets; `package` may go afterwards. Uses the queue of
-  /// `device` if the weights need staging.
-  /// Errors: kBadInput if check_package refuses the package; kDevice if the device meets no variant
-  /// (what is missing is told for each), is out of memory, or refuses a shader.
+  /// Takes the first variant that the device meets; `package` may go afterwards. Submits nothing.
+  /// Errors: kBadInput if check_package refuses the package, or the variant has no such graph, or
+  /// several and none is named; kUnsupported if the graph has histories, which only frame loops
+  /// keep; kDevice if the device meets no variant (what is missing is told for each), is out of
+  /// memory, or refuses a shader.
   static Result<DataGraphPipeline> create(const vk::Context& device, const Package& package,
                                           const DataGraphPipelineOptions& options = {});
   DataGraphPipeline(DataGraphPipeline&&) noexcept;
@@ -40,11 +44,17 @@ class DataGraphPipeline {
   /// The segment that sessions run.
   const Segment& graph() const;
 
+  /// Frees the host's copy of the weights, if there is one. The first recorded work must have been
+  /// finished by the device, and no other thread may use the pipeline meanwhile. Without it the
+  /// copy stays as long as the pipeline.
+  void release_staging();
+
  private:
   friend class Session;
-  explicit DataGraphPipeline(std::unique_ptr<Kernels> kernels);
+  DataGraphPipeline(std::unique_ptr<Kernels> kernels, const Segment* graph);
 
   std::unique_ptr<Kernels> kernels_;
+  const Segment* graph_;  // of the kernels' variant
 };
 
 }  // namespace shale

@@ -30,18 +30,19 @@ Result<Session> Session::create(const DataGraphPipeline& pipeline) {
   state->buffers.resize(variant.resources.size());
   state->offsets.resize(variant.resources.size());
   std::vector<const Step*> steps;
-  for (const Step& step : kernels.steps()) steps.push_back(&step);
+  for (const Step& step : kernels.steps(0)) steps.push_back(&step);
   SHALE_TRY(state->descriptors, DescriptorSets::create(kernels, steps));
   for (size_t i = 0; i < steps.size(); ++i) state->sets.push_back(state->descriptors[i]);
 
   if (variant.arena_bytes > 0) {
-    const VkDevice device = kernels.context().device;
+    const vk::Context& context = kernels.context();
     auto info = vk::init<VkBufferCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO);
     info.size = padded_bytes(variant.arena_bytes);
     info.usage = kTensorBufferUsage;
-    SHALE_TRY(state->arena,
-              vk::make<vk::BufferHandle>(vkCreateBuffer, "vkCreateBuffer", device, info));
-    vkGetBufferMemoryRequirements(device, state->arena.get(), &state->arena_requirements);
+    SHALE_TRY(state->arena, vk::make(context.vk.CreateBuffer, context.vk.DestroyBuffer,
+                                     "vkCreateBuffer", context.device, info));
+    context.vk.GetBufferMemoryRequirements(context.device, state->arena.get(),
+                                           &state->arena_requirements);
   }
   for (size_t i = 0; i < variant.resources.size(); ++i) {
     const Resource& resource = variant.resources[i];
@@ -63,9 +64,10 @@ Result<void> Session::bind_memory(VkDeviceMemory memory, uint64_t offset) {
   if (offset % state_->arena_requirements.alignment != 0)
     return bad_input("arena", "offset {} is no multiple of {}", offset,
                      state_->arena_requirements.alignment);
-  SHALE_TRY_VOID(vk::check(
-      vkBindBufferMemory(state_->kernels->context().device, state_->arena.get(), memory, offset),
-      "vkBindBufferMemory"));
+  const vk::Context& context = state_->kernels->context();
+  SHALE_TRY_VOID(
+      vk::check(context.vk.BindBufferMemory(context.device, state_->arena.get(), memory, offset),
+                "vkBindBufferMemory"));
   state_->arena_bound = true;
   return {};
 }
@@ -104,22 +106,25 @@ Result<void> Session::bind_tensor(std::string_view name, const TensorView& tenso
 
 Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamps) {
   const Kernels& kernels = *state_->kernels;
+  const std::span<const Step> steps = kernels.steps(0);
+  SHALE_TRY_VOID(check_timestamps(timestamps, steps.size()));
   if (!state_->descriptors_written) {
     if (state_->arena && !state_->arena_bound) return bad_input("arena", "has no memory yet");
-    for (const Step& step : kernels.steps())
+    for (const Step& step : steps)
       for (const Binding& binding : step.dispatch->bindings)
         if (state_->buffers[binding.resource] == VK_NULL_HANDLE)
           return bad_input(
               fmt::format("tensor \"{}\"", kernels.variant().resources[binding.resource].name),
               "is not bound yet");
-    for (size_t i = 0; i < kernels.steps().size(); ++i)
+    for (size_t i = 0; i < steps.size(); ++i)
       SHALE_TRY_VOID(state_->descriptors.write(i, [&](const Binding& binding) {
         return Target{.buffer = state_->buffers[binding.resource],
                       .offset = state_->offsets[binding.resource]};
       }));
     state_->descriptors_written = true;
   }
-  record_steps(commands, kernels, state_->sets, {}, {}, timestamps);
+  kernels.record_upload(commands);
+  record_steps(commands, kernels, steps, state_->sets, {}, {}, timestamps);
   return {};
 }
 

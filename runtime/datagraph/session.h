@@ -45,7 +45,9 @@ struct BindPoint {
 ///  - between two recordings of one session: a memory barrier from that stage and
 ///    VK_ACCESS_SHADER_WRITE_BIT to it and VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT,
 ///    since they share the arena.
-/// Different sessions need nothing between each other, unless they share memory or tensors.
+/// Different sessions need nothing between each other, unless they share memory or tensors. But the
+/// first record of all sessions of a pipeline also uploads the weights, where the host cannot write
+/// the device's memory: it must be submitted, and before anything that is recorded later.
 class Session {
  public:
   /// Errors: kDevice.
@@ -81,7 +83,8 @@ class Session {
   /// Adds the graph to a command buffer that is being recorded, outside of a render pass. Changes
   /// its bound compute pipeline and set 0. `timestamps` gains an interval for each dispatch of
   /// DataGraphPipeline::graph(); it may be null.
-  /// Errors: kBadInput, naming what is not bound yet; kDevice.
+  /// Errors: kBadInput, naming what is not bound yet, or if there are timestamps of too few
+  /// intervals; kDevice.
   Result<void> record(VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
 
  private:

@@ -13,8 +13,8 @@ struct DepthProjection {
   bool reverse = false;        ///< 1 is near, 0 is far
 };
 
-/// D of the parameter "depth_to_view": a depth d lies at the view distance D[1] / (d - D[0]) metres;
-/// D[2] and D[3] are the tangents of half the field of view across and down.
+/// D of the parameter "depth_to_view": a depth d lies at the view distance D[1] / (d - D[0])
+/// metres; D[2] and D[3] are the tangents of half the field of view across and down.
 /// Source: NSS notes, section 2.1, which have it from FSR 2.
 std::array<float, 4> depth_to_view(const DepthProjection& projection);
 

@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <cstring>
-#include <numeric>
 
 #include "runtime/datagraph/dispatch.h"
 #include "runtime/vk/commands.h"
@@ -13,54 +12,67 @@ namespace shale {
 namespace {
 
 constexpr uint32_t kMaxFramesInFlight = 8;
-constexpr uint32_t kMaxPhases = 64;
+/// Of the tensors of all graphs together: keeps sums of sizes that a package states far from an
+/// overflow.
+constexpr uint64_t kMaxTensorPoolBytes = uint64_t{1} << 48;
 constexpr VkImageUsageFlags kShaderUsages = VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT;
 
 bool is_host_image(Category category) {
   return category == Category::kImageInput || category == Category::kImageOutput;
 }
 
-/// Leads to different images in different frames, so its set depends on the frame.
-bool changes_by_frame(const Step& step, const Variant& variant) {
+bool is_graph_tensor(Category category) {
+  return category == Category::kInput || category == Category::kOutput;
+}
+
+/// Leads to different memory in different records, so its set depends on the record.
+bool changes(const Step& step, const Variant& variant) {
   if (step.is_transfer) return false;  // has no set
-  const std::vector<Binding>& bindings = step.dispatch->bindings;
-  return std::any_of(bindings.begin(), bindings.end(), [&](const Binding& binding) {
-    const Category category = variant.resources[binding.resource].category;
-    return is_host_image(category) || category == Category::kImageHistory;
+  return std::ranges::any_of(step.dispatch->bindings, [&](const Binding& binding) {
+    const Resource& resource = variant.resources[binding.resource];
+    return is_host_image(resource.category) || resource.history_depth != 0;
   });
 }
 
-/// After how many frames all rings are at the same slots again.
-/// Errors: kUnsupported above kMaxPhases.
-Result<uint32_t> ring_phases(const Variant& variant) {
-  uint32_t phases = 1;
-  for (const Resource& resource : variant.resources) {
-    if (resource.category != Category::kImageHistory) continue;
-    phases = std::lcm(phases, resource.history_depth);
-    if (phases > kMaxPhases)
-      return unsupported("", "the depths of the histories repeat after more than {} frames",
-                         kMaxPhases);
-  }
-  return phases;
+VkImageUsageFlags usage_of(const Binding& binding) {
+  if (is_sampled(binding.type)) return VK_IMAGE_USAGE_SAMPLED_BIT;
+  if (binding.type == BindingType::kStorageImage) return VK_IMAGE_USAGE_STORAGE_BIT;
+  if (binding.type != BindingType::kTransfer) return 0;
+  return binding.writes ? VK_IMAGE_USAGE_TRANSFER_DST_BIT : VK_IMAGE_USAGE_TRANSFER_SRC_BIT;
 }
+
+/// What the records of a program that are in flight keep apart.
+struct Slot {
+  std::vector<VkDescriptorSet> sets;  // by step
+  std::vector<size_t> own_sets;       // those that no other slot has, as indices of descriptors
+  std::vector<uint32_t> positions;    // of the program's histories when own_sets were written
+  uint64_t bindings = 0;              // State::bindings when they were written; 0 is never
+};
+
+struct Program {
+  std::vector<bool> uses, writes;   // by resource
+  std::vector<uint32_t> histories;  // resources
+  std::vector<Slot> slots;
+  uint64_t records = 0;
+  bool is_reset = true;  // the next record is the first one since the histories were cleared
+};
 
 }  // namespace
 
 struct FrameLoop::State {
   std::unique_ptr<Kernels> kernels;
   vk::Buffer arena;
-  vk::Buffer graph_tensors;                     // inputs and outputs of the graph
+  vk::Buffer graph_tensors;                     // inputs and outputs of graphs
   std::vector<uint64_t> offsets;                // of tensors in their buffer, by resource
   std::vector<std::vector<vk::Image>> images;   // own ones, by resource: one, or the ring
   std::vector<std::vector<vk::Buffer>> linear;  // own linear ones, as `images`
   std::vector<VkImageUsageFlags> usages;        // by resource: of images, as steps use them; or 0
   std::vector<ImageView> host_images;           // by resource
+  std::vector<uint64_t> written;                // by resource: records that wrote the history
 
   DescriptorSets descriptors;
-  std::vector<std::vector<VkDescriptorSet>> sets;  // by slot, then by step
-  std::vector<std::vector<size_t>> changing_sets;  // by slot: the indices that are its own
-  std::vector<uint64_t> slot_bindings;             // by slot: `bindings` when it was written
-  uint64_t bindings = 1;                           // grows with each bind_image
+  std::vector<Program> programs;
+  uint64_t bindings = 1;  // grows with each bind_image
 
   std::vector<uint8_t> params;  // push constants of the passes
   uint64_t frame = 0;
@@ -68,16 +80,22 @@ struct FrameLoop::State {
 
   Result<void> create_tensors();
   Result<void> create_images();
-  uint32_t slot_of(uint32_t resource, uint32_t frames_back) const;
-  Result<void> create_sets(uint32_t slots);
+  void create_programs();
+  Result<void> create_sets(uint32_t frames_in_flight);
+  uint32_t position(const Program& program, uint32_t resource, uint32_t frames_back) const;
+  Result<void> update_sets(const Program& program, Slot& slot);
   void set(const Param& param, std::span<const float> values);
-  Target target(const Binding& binding) const;
+  Target target(const Program& program, const Binding& binding) const;
+  void record_start(VkCommandBuffer commands) const;
   void record_clears(VkCommandBuffer commands) const;
-  /// Of a ring, what the last frame left.
-  template <typename T>
-  const T& last(const std::vector<T>& ring) const {
-    // `frame` is the next one already; before the first frame every slot is as good.
-    return ring[(frame == 0 ? 0 : frame - 1) % ring.size()];
+  Result<void> record(Program& program, std::span<const Step> steps, VkCommandBuffer commands,
+                      vk::Timestamps* timestamps);
+  /// Bytes from one slot of a tensor's ring to the next.
+  uint64_t slot_bytes(const Resource& tensor) const { return padded_bytes(tensor.size_bytes); }
+  /// The position of what was written last; of what is no history, 0.
+  size_t newest(size_t resource) const {
+    const uint32_t depth = kernels->variant().resources[resource].history_depth;
+    return depth == 0 ? 0 : (written[resource] + depth - 1) % depth;
   }
 };
 
@@ -91,22 +109,48 @@ Result<FrameLoop> FrameLoop::create(const vk::Context& context, const Package& p
   if (options.frames_in_flight < 1 || options.frames_in_flight > kMaxFramesInFlight)
     return bad_input("", "{} frames in flight are outside 1..{}", options.frames_in_flight,
                      kMaxFramesInFlight);
+  const auto all_programs =
+      [](const Variant& variant) -> Result<std::vector<std::span<const Segment>>> {
+    std::vector<std::span<const Segment>> programs;
+    for (uint32_t i = 0; i < variant.programs.size(); ++i)
+      programs.push_back(program_segments(variant, i));
+    return programs;
+  };
   auto state = std::make_unique<State>();
-  SHALE_TRY(state->kernels, Kernels::create(context, package, Scope::kFrame, options.cache));
+  SHALE_TRY(state->kernels, Kernels::create(context, package, all_programs, options.cache));
   const Variant& variant = state->kernels->variant();
-  SHALE_TRY(const uint32_t phases, ring_phases(variant));
   const size_t count = variant.resources.size();
   state->offsets.resize(count);
   state->images.resize(count);
   state->linear.resize(count);
   state->usages.resize(count);
   state->host_images.resize(count);
+  state->written.resize(count);
+  state->create_programs();
   SHALE_TRY_VOID(state->create_tensors());
   SHALE_TRY_VOID(state->create_images());
-  SHALE_TRY_VOID(state->create_sets(phases * options.frames_in_flight));
+  SHALE_TRY_VOID(state->create_sets(options.frames_in_flight));
   state->params.resize(param_bytes(variant));
   for (const Param& param : variant.params) state->set(param, param.default_values);
   return FrameLoop(std::move(state));
+}
+
+void FrameLoop::State::create_programs() {
+  const std::vector<Resource>& resources = kernels->variant().resources;
+  programs.resize(kernels->program_count());
+  for (size_t p = 0; p < programs.size(); ++p) {
+    Program& program = programs[p];
+    program.uses.resize(resources.size());
+    program.writes.resize(resources.size());
+    for (const Step& step : kernels->steps(p))
+      for (const Binding& binding : step.dispatch->bindings) {
+        program.uses[binding.resource] = true;
+        if (binding.writes) program.writes[binding.resource] = true;
+        usages[binding.resource] |= usage_of(binding);
+      }
+    for (uint32_t i = 0; i < resources.size(); ++i)
+      if (program.uses[i] && resources[i].history_depth != 0) program.histories.push_back(i);
+  }
 }
 
 Result<void> FrameLoop::State::create_tensors() {
@@ -115,9 +159,12 @@ Result<void> FrameLoop::State::create_tensors() {
   for (size_t i = 0; i < variant.resources.size(); ++i) {
     const Resource& resource = variant.resources[i];
     offsets[i] = resource.offset_bytes;
-    if (resource.category != Category::kInput && resource.category != Category::kOutput) continue;
+    if (!is_graph_tensor(resource.category)) continue;
     offsets[i] = graph_bytes;
-    graph_bytes = padded_bytes(graph_bytes + resource.size_bytes);
+    graph_bytes += slot_bytes(resource) * std::max(resource.history_depth, 1u);
+    if (graph_bytes > kMaxTensorPoolBytes)
+      return device_error("", "inputs and outputs of more than {} bytes do not fit any device",
+                          kMaxTensorPoolBytes);
   }
   const auto create = [&](uint64_t bytes) {
     return vk::Buffer::create(kernels->context(), padded_bytes(std::max<uint64_t>(bytes, 1)),
@@ -130,17 +177,11 @@ Result<void> FrameLoop::State::create_tensors() {
 
 Result<void> FrameLoop::State::create_images() {
   const Variant& variant = kernels->variant();
-  for (const Step& step : kernels->steps())
-    for (const Binding& binding : step.dispatch->bindings)
-      usages[binding.resource] |=
-          binding.type == BindingType::kStorageImage ? VK_IMAGE_USAGE_STORAGE_BIT
-          : binding.type != BindingType::kTransfer   ? VK_IMAGE_USAGE_SAMPLED_BIT
-          : binding.writes                           ? VK_IMAGE_USAGE_TRANSFER_DST_BIT
-                                                     : VK_IMAGE_USAGE_TRANSFER_SRC_BIT;
-  std::vector<VkImageMemoryBarrier> barriers;
   for (size_t i = 0; i < variant.resources.size(); ++i) {
     const Resource& resource = variant.resources[i];
-    if (!is_image(resource.category) || is_host_image(resource.category) || !usages[i]) continue;
+    const bool used =
+        std::ranges::any_of(programs, [&](const Program& program) { return program.uses[i]; });
+    if (!is_image(resource.category) || is_host_image(resource.category) || !used) continue;
     for (uint32_t slot = 0; slot < std::max(resource.history_depth, 1u); ++slot) {
       if (is_linear(resource)) {
         SHALE_TRY(linear[i].emplace_back(),
@@ -157,102 +198,139 @@ Result<void> FrameLoop::State::create_images() {
         image.error().where = fmt::format("image \"{}\"", resource.name);
         return std::move(image.error());
       }
+      images[i].push_back(std::move(*image));
+    }
+  }
+  return {};
+}
+
+Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
+  // A set for each step that is the same in every record, then one for each slot of the others.
+  std::vector<const Step*> owners;
+  std::vector<std::pair<size_t, const Program*>> fixed;
+  std::vector<std::pair<VkDescriptorSet*, size_t>> places;
+  for (size_t p = 0; p < programs.size(); ++p) {
+    Program& program = programs[p];
+    const std::span<const Step> steps = kernels->steps(p);
+    program.slots.resize(frames_in_flight);
+    for (Slot& slot : program.slots) slot.sets.resize(steps.size());
+    for (size_t i = 0; i < steps.size(); ++i) {
+      if (steps[i].is_transfer) continue;
+      const bool own = changes(steps[i], kernels->variant());
+      if (!own) fixed.emplace_back(owners.size(), &program);
+      for (Slot& slot : program.slots) {
+        if (own || &slot == &program.slots[0]) owners.push_back(&steps[i]);
+        if (own) slot.own_sets.push_back(owners.size() - 1);
+        places.emplace_back(&slot.sets[i], owners.size() - 1);
+      }
+    }
+  }
+  SHALE_TRY(descriptors, DescriptorSets::create(*kernels, owners));
+  for (const auto& [set, index] : places) *set = descriptors[index];
+  for (const auto& [index, program] : fixed)
+    SHALE_TRY_VOID(descriptors.write(
+        index, [&](const Binding& binding) { return target(*program, binding); }));
+  return {};
+}
+
+/// In the ring of a history, in the record of `program` that is being made; 0 of all else.
+uint32_t FrameLoop::State::position(const Program& program, uint32_t resource,
+                                    uint32_t frames_back) const {
+  const uint32_t depth = kernels->variant().resources[resource].history_depth;
+  if (depth == 0) return 0;
+  // frames_back is below the depth, so the sum never wraps.
+  const uint32_t back = frames_back + (program.writes[resource] ? 0 : 1);
+  return static_cast<uint32_t>((written[resource] % depth + depth - back) % depth);
+}
+
+/// In the record of `program` that is being made.
+Target FrameLoop::State::target(const Program& program, const Binding& binding) const {
+  const uint32_t index = binding.resource;
+  const Resource& resource = kernels->variant().resources[index];
+  const uint32_t slot = position(program, index, binding.frames_back);
+  switch (resource.category) {
+    case Category::kInput:
+    case Category::kOutput:
+      return {.buffer = graph_tensors.get(),
+              .offset = offsets[index] + slot * slot_bytes(resource)};
+    case Category::kIntermediate: return {.buffer = arena.get(), .offset = offsets[index]};
+    case Category::kWeights: return {.buffer = kernels->weights(), .offset = offsets[index]};
+    case Category::kImageInput:
+    case Category::kImageOutput:
+      return {.view = host_images[index].view, .image = host_images[index].image};
+    case Category::kImageInternal:
+    case Category::kImageHistory:
+      if (is_linear(resource)) return {.buffer = linear[index][slot].get()};
+      return {.view = images[index][slot].view(), .image = images[index][slot].get()};
+  }
+  return {};
+}
+
+/// The slot's last record is at least frames_in_flight back, so the device is done with its sets.
+Result<void> FrameLoop::State::update_sets(const Program& program, Slot& slot) {
+  std::vector<uint32_t> positions;
+  for (const uint32_t resource : program.histories)
+    positions.push_back(position(program, resource, 0));
+  if (slot.bindings == bindings && slot.positions == positions) return {};
+  slot.bindings = 0;  // until all are written
+  for (const size_t i : slot.own_sets)
+    SHALE_TRY_VOID(
+        descriptors.write(i, [&](const Binding& binding) { return target(program, binding); }));
+  slot.bindings = bindings;
+  slot.positions = std::move(positions);
+  return {};
+}
+
+/// What has to be done once.
+void FrameLoop::State::record_start(VkCommandBuffer commands) const {
+  kernels->record_upload(commands);
+  std::vector<VkImageMemoryBarrier> barriers;
+  for (const std::vector<vk::Image>& ring : images)
+    for (const vk::Image& image : ring) {
       auto barrier = vk::init<VkImageMemoryBarrier>(VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER);
+      barrier.dstAccessMask = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT |
+                              VK_ACCESS_TRANSFER_READ_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
       barrier.oldLayout = VK_IMAGE_LAYOUT_UNDEFINED;
       barrier.newLayout = VK_IMAGE_LAYOUT_GENERAL;
       barrier.srcQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED;
       barrier.dstQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED;
-      barrier.image = image->get();
+      barrier.image = image.get();
       barrier.subresourceRange = vk::kWholeImage;
       barriers.push_back(barrier);
-      images[i].push_back(std::move(*image));
     }
-  }
-  if (barriers.empty()) return {};
-  return vk::submit_and_wait(kernels->context(), [&](VkCommandBuffer commands) {
-    vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT,
-                         VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, 0, 0, nullptr, 0, nullptr,
-                         static_cast<uint32_t>(barriers.size()), barriers.data());
-  });
-}
-
-Result<void> FrameLoop::State::create_sets(uint32_t slots) {
-  // A set for each step that is the same in every frame, then one for each slot of the others.
-  std::vector<const Step*> owners;
-  std::vector<size_t> fixed;
-  sets.resize(slots);
-  changing_sets.resize(slots);
-  slot_bindings.resize(slots);
-  std::vector<std::vector<size_t>> index(slots);  // by slot, then by step
-  for (const Step& step : kernels->steps()) {
-    if (step.is_transfer) continue;
-    const bool changes = changes_by_frame(step, kernels->variant());
-    if (!changes) fixed.push_back(owners.size());
-    for (uint32_t slot = 0; slot < slots; ++slot) {
-      if (changes || slot == 0) owners.push_back(&step);
-      index[slot].push_back(owners.size() - 1);
-      if (changes) changing_sets[slot].push_back(owners.size() - 1);
-    }
-  }
-  SHALE_TRY(descriptors, DescriptorSets::create(*kernels, owners));
-  for (uint32_t slot = 0; slot < slots; ++slot) {
-    auto next = index[slot].begin();
-    for (const Step& step : kernels->steps())
-      sets[slot].push_back(step.is_transfer ? VK_NULL_HANDLE : descriptors[*next++]);
-  }
-  for (const size_t i : fixed)
-    SHALE_TRY_VOID(descriptors.write(i, [&](const Binding& binding) { return target(binding); }));
-  return {};
-}
-
-/// In the ring of an own image, in the frame that is being recorded.
-uint32_t FrameLoop::State::slot_of(uint32_t resource, uint32_t frames_back) const {
-  // frames_back is below the depth, so the sum never wraps.
-  const uint32_t depth = std::max(kernels->variant().resources[resource].history_depth, 1u);
-  return static_cast<uint32_t>((frame % depth + depth - frames_back) % depth);
-}
-
-/// In the frame that is being recorded.
-Target FrameLoop::State::target(const Binding& binding) const {
-  const Resource& resource = kernels->variant().resources[binding.resource];
-  switch (resource.category) {
-    case Category::kInput:
-    case Category::kOutput:
-      return {.buffer = graph_tensors.get(), .offset = offsets[binding.resource]};
-    case Category::kIntermediate:
-      return {.buffer = arena.get(), .offset = offsets[binding.resource]};
-    case Category::kWeights:
-      return {.buffer = kernels->weights(), .offset = offsets[binding.resource]};
-    case Category::kImageInput:
-    case Category::kImageOutput: {
-      const ImageView& host = host_images[binding.resource];
-      return {.view = host.view, .image = host.image};
-    }
-    case Category::kImageInternal:
-    case Category::kImageHistory: {
-      const uint32_t slot = slot_of(binding.resource, binding.frames_back);
-      if (is_linear(resource)) return {.buffer = linear[binding.resource][slot].get()};
-      const vk::Image& image = images[binding.resource][slot];
-      return {.view = image.view(), .image = image.get()};
-    }
-  }
-  return {};
+  if (barriers.empty()) return;
+  kernels->context().vk.CmdPipelineBarrier(
+      commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT,
+      VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT, 0, 0, nullptr, 0,
+      nullptr, static_cast<uint32_t>(barriers.size()), barriers.data());
 }
 
 void FrameLoop::State::record_clears(VkCommandBuffer commands) const {
+  constexpr VkPipelineStageFlags kCompute = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                                 kTransfer = VK_PIPELINE_STAGE_TRANSFER_BIT;
+  constexpr VkAccessFlags kShader = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT,
+                          kWrites = VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
+  const vk::Context& context = kernels->context();
   const VkClearColorValue zero{};
+  vk::memory_barrier(context, commands, kCompute | kTransfer, kWrites, kTransfer,
+                     VK_ACCESS_TRANSFER_WRITE_BIT);
   for (size_t i = 0; i < images.size(); ++i) {
     const Resource& resource = kernels->variant().resources[i];
+    const uint32_t depth = resource.history_depth;
     // A pass may read what the network gave in the frame before.
-    if (resource.category == Category::kOutput)
-      vkCmdFillBuffer(commands, graph_tensors.get(), offsets[i], bound_bytes(resource), 0);
+    if (resource.category == Category::kOutput || (is_graph_tensor(resource.category) && depth))
+      for (uint32_t slot = 0; slot < std::max(depth, 1u); ++slot)
+        context.vk.CmdFillBuffer(commands, graph_tensors.get(),
+                                 offsets[i] + slot * slot_bytes(resource), bound_bytes(resource),
+                                 0);
     if (resource.category != Category::kImageHistory) continue;
     for (const vk::Buffer& buffer : linear[i])
-      vkCmdFillBuffer(commands, buffer.get(), 0, buffer.size_bytes(), 0);
+      context.vk.CmdFillBuffer(commands, buffer.get(), 0, buffer.size_bytes(), 0);
     for (const vk::Image& image : images[i])
-      vkCmdClearColorImage(commands, image.get(), VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
-                           &vk::kWholeImage);
+      context.vk.CmdClearColorImage(commands, image.get(), VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
+                                    &vk::kWholeImage);
   }
+  vk::memory_barrier(context, commands, kCompute | kTransfer, kWrites, kCompute, kShader);
 }
 
 const Variant& FrameLoop::variant() const { return state_->kernels->variant(); }
@@ -313,70 +391,103 @@ Result<void> FrameLoop::set_param(std::string_view name, std::span<const float> 
   return bad_input("", "the package has no parameter \"{}\"", name);
 }
 
-void FrameLoop::reset_history() { state_->clear_history = true; }
+void FrameLoop::reset_history() {
+  state_->clear_history = true;
+  for (Program& program : state_->programs) program.is_reset = true;
+}
 
 Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timestamps) {
-  State& state = *state_;
-  const std::vector<Resource>& resources = variant().resources;
-  for (size_t i = 0; i < resources.size(); ++i)
-    if (is_host_image(resources[i].category) && state.usages[i] &&
-        state.host_images[i].format == VK_FORMAT_UNDEFINED)
-      return bad_input(fmt::format("image \"{}\"", resources[i].name), "is not bound yet");
+  if (state_->programs.size() > 1)
+    return bad_input("", "the package has {} programs, and none is named", state_->programs.size());
+  return record(0u, commands, timestamps);
+}
 
-  // The slot's last frame is at least frames_in_flight back, so the device is done with its sets.
-  const size_t slot = state.frame % state.sets.size();
-  if (state.slot_bindings[slot] != state.bindings) {
-    for (const size_t i : state.changing_sets[slot])
-      SHALE_TRY_VOID(state.descriptors.write(
-          i, [&](const Binding& binding) { return state.target(binding); }));
-    state.slot_bindings[slot] = state.bindings;
-  }
+Result<void> FrameLoop::record(std::string_view program, VkCommandBuffer commands,
+                               vk::Timestamps* timestamps) {
+  const std::vector<std::string>& names = variant().programs;
+  const auto found = std::ranges::find(names, program);
+  if (found == names.end()) return bad_input("", "the package has no program \"{}\"", program);
+  return record(static_cast<uint32_t>(found - names.begin()), commands, timestamps);
+}
 
-  constexpr VkPipelineStageFlags kCompute = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT;
-  constexpr VkAccessFlags kUse = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT;
-  for (const Param& param : variant().params)
-    if (param.source == ParamSource::kReset)
-      state.set(param, std::array{state.clear_history ? 1.0f : 0.0f});
-  if (state.clear_history) {
-    constexpr VkPipelineStageFlags kTransfer = VK_PIPELINE_STAGE_TRANSFER_BIT;
-    vk::memory_barrier(commands, kCompute, VK_ACCESS_SHADER_WRITE_BIT, kTransfer,
-                       VK_ACCESS_TRANSFER_WRITE_BIT);
-    state.record_clears(commands);
-    vk::memory_barrier(commands, kCompute | kTransfer,
-                       VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT, kCompute, kUse);
-    state.clear_history = false;
-  }
-  state.kernels->barrier(commands);
+Result<void> FrameLoop::record(uint32_t program, VkCommandBuffer commands,
+                               vk::Timestamps* timestamps) {
+  if (program >= state_->programs.size())
+    return bad_input("", "the package has no program {}, there are {}", program,
+                     state_->programs.size());
+  return state_->record(state_->programs[program], state_->kernels->steps(program), commands,
+                        timestamps);
+}
+
+Result<void> FrameLoop::State::record(Program& program, std::span<const Step> steps,
+                                      VkCommandBuffer commands, vk::Timestamps* timestamps) {
+  const Variant& variant = kernels->variant();
+  for (size_t i = 0; i < variant.resources.size(); ++i)
+    if (program.uses[i] && is_host_image(variant.resources[i].category) &&
+        host_images[i].format == VK_FORMAT_UNDEFINED)
+      return bad_input(fmt::format("image \"{}\"", variant.resources[i].name), "is not bound yet");
+  SHALE_TRY_VOID(check_timestamps(timestamps, steps.size()));
+  Slot& slot = program.slots[program.records % program.slots.size()];
+  // The slot was used in the first record of all or later, and that is finished.
+  if (program.records >= program.slots.size()) kernels->release_staging();
+  SHALE_TRY_VOID(update_sets(program, slot));
+
+  // From here on nothing fails.
+  if (frame == 0) record_start(commands);
+  for (const Param& param : variant.params)
+    if (param.source == ParamSource::kReset) set(param, std::array{program.is_reset ? 1.0f : 0.0f});
+  if (clear_history) record_clears(commands);
+  clear_history = false;
+  program.is_reset = false;
+  kernels->barrier(commands);
   record_steps(
-      commands, *state.kernels, state.sets[slot], state.params,
-      [&](const Binding& binding) { return state.target(binding); }, timestamps);
+      commands, *kernels, steps, slot.sets, params,
+      [&](const Binding& binding) { return target(program, binding); }, timestamps);
   // The host waits for shaders, whatever wrote its images.
-  if (state.kernels->has_transfers()) state.kernels->barrier(commands);
-  ++state.frame;
+  if (kernels->has_transfers()) kernels->barrier(commands);
+  for (const uint32_t resource : program.histories)
+    if (program.writes[resource]) ++written[resource];
+  ++program.records;
+  ++frame;
   return {};
 }
 
 uint64_t FrameLoop::frame() const { return state_->frame; }
 
+MemoryUse FrameLoop::memory_use() const {
+  const vk::Upload& weights = state_->kernels->weight_memory();
+  MemoryUse use{.weights = weights.buffer.memory_bytes(),
+                .arena = state_->arena.memory_bytes(),
+                .tensors = state_->graph_tensors.memory_bytes(),
+                .staging = weights.staging.memory_bytes()};
+  for (const std::vector<vk::Image>& ring : state_->images)
+    for (const vk::Image& image : ring) use.images += image.memory_bytes();
+  for (const std::vector<vk::Buffer>& ring : state_->linear)
+    for (const vk::Buffer& buffer : ring) use.images += buffer.memory_bytes();
+  return use;
+}
+
 Result<TensorView> FrameLoop::tensor(std::string_view name) const {
   const std::vector<Resource>& resources = variant().resources;
   for (size_t i = 0; i < resources.size(); ++i) {
     const Resource& resource = resources[i];
-    if (resource.name == name &&
-        (resource.category == Category::kInput || resource.category == Category::kOutput))
-      return TensorView{state_->graph_tensors.get(), state_->offsets[i], bound_bytes(resource)};
-    if (resource.name == name && !state_->linear[i].empty())
-      return TensorView{state_->last(state_->linear[i]).get(), 0, resource.size_bytes};
+    if (resource.name != name) continue;
+    const size_t slot = state_->newest(i);
+    if (is_graph_tensor(resource.category))
+      return TensorView{state_->graph_tensors.get(),
+                        state_->offsets[i] + slot * state_->slot_bytes(resource),
+                        bound_bytes(resource)};
+    if (!state_->linear[i].empty())
+      return TensorView{state_->linear[i][slot].get(), 0, resource.size_bytes};
   }
   return bad_input("", "the network has no input or output \"{}\"", name);
 }
 
 Result<VkImage> FrameLoop::image(std::string_view name) const {
   const std::vector<Resource>& resources = variant().resources;
-  for (size_t i = 0; i < resources.size(); ++i) {
-    if (resources[i].name != name || state_->images[i].empty()) continue;
-    return state_->last(state_->images[i]).get();
-  }
+  for (size_t i = 0; i < resources.size(); ++i)
+    if (resources[i].name == name && !state_->images[i].empty())
+      return state_->images[i][state_->newest(i)].get();
   return bad_input("", "the frame loop has no image \"{}\"", name);
 }
 

@@ -10,13 +10,14 @@
 
 namespace shale::vk {
 
-/// Records with `record`, submits to the context's queue and waits until it is done.
+/// Records with `record`, submits to the context's queue, which must be an own device's, and waits
+/// until it is done. For tools; pipelines and loops submit nothing.
 /// Errors: kDevice.
 Result<void> submit_and_wait(const Context& context,
                              const std::function<void(VkCommandBuffer)>& record);
 
 /// A memory barrier between commands recorded before and after it, without layout changes.
-void memory_barrier(VkCommandBuffer commands, VkPipelineStageFlags from, VkAccessFlags written,
-                    VkPipelineStageFlags to, VkAccessFlags used);
+void memory_barrier(const Context& context, VkCommandBuffer commands, VkPipelineStageFlags from,
+                    VkAccessFlags written, VkPipelineStageFlags to, VkAccessFlags used);
 
 }  // namespace shale::vk

@@ -12,11 +12,11 @@ namespace {
 using GetProducts = VkResult(VKAPI_PTR*)(VkPhysicalDevice, uint32_t* count,
                                          CooperativeMatrixProduct* products);
 
-bool has_extension(VkPhysicalDevice device) {
+bool has_extension(const Functions& vk, VkPhysicalDevice device) {
   uint32_t count = 0;
-  vkEnumerateDeviceExtensionProperties(device, nullptr, &count, nullptr);
+  vk.EnumerateDeviceExtensionProperties(device, nullptr, &count, nullptr);
   std::vector<VkExtensionProperties> extensions(count);
-  vkEnumerateDeviceExtensionProperties(device, nullptr, &count, extensions.data());
+  vk.EnumerateDeviceExtensionProperties(device, nullptr, &count, extensions.data());
   return std::any_of(extensions.begin(), extensions.end(), [](const VkExtensionProperties& each) {
     return std::strcmp(each.extensionName, kCooperativeMatrixExtension) == 0;
   });
@@ -33,20 +33,20 @@ bool has_int8_product(std::span<const CooperativeMatrixProduct> products, uint32
          });
 }
 
-bool supports_cooperative_matrices(VkInstance instance, VkPhysicalDevice device,
+bool supports_cooperative_matrices(const Functions& vk, VkPhysicalDevice device,
                                    uint32_t subgroup_size) {
-  if (instance == VK_NULL_HANDLE || !has_extension(device)) return false;
+  if (!has_extension(vk, device)) return false;
   CooperativeMatrixFeatures matrices;
   auto features = init<VkPhysicalDeviceFeatures2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2);
   features.pNext = &matrices;
-  vkGetPhysicalDeviceFeatures2(device, &features);
+  vk.GetPhysicalDeviceFeatures2(device, &features);
   CooperativeMatrixStages stages;
   auto properties =
       init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
   properties.pNext = &stages;
-  vkGetPhysicalDeviceProperties2(device, &properties);
+  vk.GetPhysicalDeviceProperties2(device, &properties);
   const auto get_products = reinterpret_cast<GetProducts>(
-      vkGetInstanceProcAddr(instance, "vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR"));
+      vk.GetInstanceProcAddr(vk.instance, "vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR"));
   if (!matrices.cooperative_matrix || !(stages.stages & VK_SHADER_STAGE_COMPUTE_BIT) ||
       !get_products)
     return false;

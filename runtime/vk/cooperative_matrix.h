@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <span>
 
+#include "runtime/vk/functions.h"
+
 namespace shale::vk {
 
 inline constexpr const char* kCooperativeMatrixExtension = "VK_KHR_cooperative_matrix";
@@ -37,12 +39,12 @@ struct CooperativeMatrixProduct {
 };
 inline constexpr uint32_t kComponentSint8 = 3, kComponentSint32 = 5, kScopeSubgroup = 3;
 
-/// True if one of the products is that of Feature::kCooperativeMatrix, in subgroups of the size that
-/// kernels of conv2d_s8_coopmat have.
+/// True if one of the products is that of Feature::kCooperativeMatrix, in subgroups of the size
+/// that kernels of conv2d_s8_coopmat have.
 bool has_int8_product(std::span<const CooperativeMatrixProduct> products, uint32_t subgroup_size);
 
-/// Asks the device; false wherever it does not know the extension. `instance` is the device's.
-bool supports_cooperative_matrices(VkInstance instance, VkPhysicalDevice device,
+/// Asks the device; false wherever it does not know the extension.
+bool supports_cooperative_matrices(const Functions& vk, VkPhysicalDevice device,
                                    uint32_t subgroup_size);
 
 }  // namespace shale::vk

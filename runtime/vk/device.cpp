@@ -48,17 +48,23 @@ constexpr FeatureMember kFeatureMembers[] = {
      [](Features& f) -> VkBool32& { return f.v10.features.shaderStorageImageExtendedFormats; }},
 };
 
-std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {
+/// A structure of a chain, by its type.
+template <typename T>
+const T& as(const VkBaseInStructure* structure) {
+  return *reinterpret_cast<const T*>(structure);
+}
+
+std::vector<VkQueueFamilyProperties> queue_families(const Functions& vk, VkPhysicalDevice device) {
   uint32_t count = 0;
-  vkGetPhysicalDeviceQueueFamilyProperties(device, &count, nullptr);
+  vk.GetPhysicalDeviceQueueFamilyProperties(device, &count, nullptr);
   std::vector<VkQueueFamilyProperties> families(count);
-  vkGetPhysicalDeviceQueueFamilyProperties(device, &count, families.data());
+  vk.GetPhysicalDeviceQueueFamilyProperties(device, &count, families.data());
   return families;
 }
 
 }  // namespace
 
-DeviceCaps snapshot_caps(VkPhysicalDevice device, VkInstance instance) {
+DeviceCaps snapshot_caps(VkPhysicalDevice device, const Functions& vk) {
   auto v11 = init<VkPhysicalDeviceVulkan11Properties>(
       VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_PROPERTIES);
   auto v12 = init<VkPhysicalDeviceVulkan12Properties>(
@@ -66,9 +72,9 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device, VkInstance instance) {
   auto v10 = init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
   v10.pNext = &v11;
   v11.pNext = &v12;
-  vkGetPhysicalDeviceProperties2(device, &v10);
+  vk.GetPhysicalDeviceProperties2(device, &v10);
   Features features;
-  vkGetPhysicalDeviceFeatures2(device, &features.v10);
+  vk.GetPhysicalDeviceFeatures2(device, &features.v10);
 
   const VkPhysicalDeviceLimits& limits = v10.properties.limits;
   DeviceCaps caps;
@@ -89,9 +95,70 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device, VkInstance instance) {
   caps.max_storage_images = limits.maxPerStageDescriptorStorageImages;
   caps.subgroup_size = v11.subgroupSize;
   if (features.v12.vulkanMemoryModel &&  // modules with matrices have to use it
-      supports_cooperative_matrices(instance, device, caps.subgroup_size))
+      supports_cooperative_matrices(vk, device, caps.subgroup_size))
     caps.features.add(Feature::kCooperativeMatrix);
   return caps;
+}
+
+FeatureSet enabled_features(const VkDeviceCreateInfo& info) {
+  // What extensions and versions call by several names is gathered under the newest one.
+  Features found;
+  if (info.pEnabledFeatures) found.v10.features = *info.pEnabledFeatures;
+  bool matrices = false;
+  for (auto* next = static_cast<const VkBaseInStructure*>(info.pNext); next; next = next->pNext) {
+    switch (static_cast<int>(next->sType)) {
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2:
+        found.v10.features = as<VkPhysicalDeviceFeatures2>(next).features;
+        break;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_1_FEATURES:
+        found.v11.storageBuffer16BitAccess =
+            as<VkPhysicalDeviceVulkan11Features>(next).storageBuffer16BitAccess;
+        break;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_16BIT_STORAGE_FEATURES:
+        found.v11.storageBuffer16BitAccess =
+            as<VkPhysicalDevice16BitStorageFeatures>(next).storageBuffer16BitAccess;
+        break;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES: {
+        const auto& v12 = as<VkPhysicalDeviceVulkan12Features>(next);
+        found.v12.storageBuffer8BitAccess = v12.storageBuffer8BitAccess;
+        found.v12.shaderInt8 = v12.shaderInt8;
+        found.v12.shaderFloat16 = v12.shaderFloat16;
+        found.v12.vulkanMemoryModel = v12.vulkanMemoryModel;
+        break;
+      }
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_8BIT_STORAGE_FEATURES:
+        found.v12.storageBuffer8BitAccess =
+            as<VkPhysicalDevice8BitStorageFeatures>(next).storageBuffer8BitAccess;
+        break;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_FLOAT16_INT8_FEATURES: {
+        const auto& types = as<VkPhysicalDeviceShaderFloat16Int8Features>(next);
+        found.v12.shaderInt8 = types.shaderInt8;
+        found.v12.shaderFloat16 = types.shaderFloat16;
+        break;
+      }
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES:
+        found.v12.vulkanMemoryModel =
+            as<VkPhysicalDeviceVulkanMemoryModelFeatures>(next).vulkanMemoryModel;
+        break;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES:
+        found.v13.shaderIntegerDotProduct =
+            as<VkPhysicalDeviceVulkan13Features>(next).shaderIntegerDotProduct;
+        break;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_INTEGER_DOT_PRODUCT_FEATURES:
+        found.v13.shaderIntegerDotProduct =
+            as<VkPhysicalDeviceShaderIntegerDotProductFeatures>(next).shaderIntegerDotProduct;
+        break;
+      case static_cast<int>(CooperativeMatrixFeatures{}.type):
+        matrices = as<CooperativeMatrixFeatures>(next).cooperative_matrix;
+        break;
+      default: break;
+    }
+  }
+  FeatureSet features;
+  for (const FeatureMember& row : kFeatureMembers)
+    if (row.member(found)) features.add(row.feature);
+  if (matrices && found.v12.vulkanMemoryModel) features.add(Feature::kCooperativeMatrix);
+  return features;
 }
 
 std::optional<uint32_t> choose_queue_family(std::span<const VkQueueFamilyProperties> families) {
@@ -104,33 +171,36 @@ std::optional<uint32_t> choose_queue_family(std::span<const VkQueueFamilyPropert
   return chosen;
 }
 
-Result<Context> wrap_device(VkPhysicalDevice physical_device, VkDevice device,
-                            uint32_t queue_family, VkQueue queue, DeviceCaps caps) {
+Result<Context> wrap_device(const HostDevice& host) {
+  if (host.physical_device == VK_NULL_HANDLE) return bad_input("", "no physical device is given");
+  Context context;
+  SHALE_TRY(context.vk, load_instance_functions(host.instance, host.get_instance_proc_addr));
+  SHALE_TRY_VOID(load_device_functions(context.vk, host.device, host.get_device_proc_addr));
+  const Functions& vk = context.vk;
   VkPhysicalDeviceProperties properties;
-  vkGetPhysicalDeviceProperties(physical_device, &properties);
+  vk.GetPhysicalDeviceProperties(host.physical_device, &properties);
   if (properties.apiVersion < VK_API_VERSION_1_3)
     return device_error(properties.deviceName, "supports Vulkan {}.{}, expected 1.3",
                         VK_API_VERSION_MAJOR(properties.apiVersion),
                         VK_API_VERSION_MINOR(properties.apiVersion));
-  const std::vector<VkQueueFamilyProperties> families = queue_families(physical_device);
-  if (queue_family >= families.size() ||
-      !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT))
-    return device_error(properties.deviceName, "queue family {} cannot compute", queue_family);
-  Context context;
-  context.physical_device = physical_device;
-  context.device = device;
-  context.queue_family = queue_family;
-  context.queue = queue;
-  context.caps = std::move(caps);
+  const std::vector<VkQueueFamilyProperties> families = queue_families(vk, host.physical_device);
+  if (host.queue_family >= families.size() ||
+      !(families[host.queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT))
+    return device_error(properties.deviceName, "queue family {} cannot compute", host.queue_family);
+  context.physical_device = host.physical_device;
+  context.device = host.device;
+  context.queue_family = host.queue_family;
+  context.caps = snapshot_caps(host.physical_device, vk);
+  context.caps.features.bits &= host.features.bits;
   context.limits = properties.limits;
-  vkGetPhysicalDeviceMemoryProperties(physical_device, &context.memory);
-  context.timestamp_bits = families[queue_family].timestampValidBits;
+  vk.GetPhysicalDeviceMemoryProperties(host.physical_device, &context.memory);
+  context.timestamp_bits = families[host.queue_family].timestampValidBits;
   return context;
 }
 
-Result<Device> Device::create(VkPhysicalDevice physical_device, VkInstance instance) {
-  DeviceCaps caps = snapshot_caps(physical_device, instance);
-  const std::optional<uint32_t> family = choose_queue_family(queue_families(physical_device));
+Result<Device> Device::create(VkPhysicalDevice physical_device, const Functions& vk) {
+  const DeviceCaps caps = snapshot_caps(physical_device, vk);
+  const std::optional<uint32_t> family = choose_queue_family(queue_families(vk, physical_device));
   if (!family) return device_error(caps.name, "has no queue that computes");
 
   Features enabled;
@@ -154,12 +224,23 @@ Result<Device> Device::create(VkPhysicalDevice physical_device, VkInstance insta
     info.ppEnabledExtensionNames = &kCooperativeMatrixExtension;
   }
   VkDevice device = VK_NULL_HANDLE;
-  SHALE_TRY_VOID(check(vkCreateDevice(physical_device, &info, nullptr, &device), "vkCreateDevice"));
+  SHALE_TRY_VOID(
+      check(vk.CreateDevice(physical_device, &info, nullptr, &device), "vkCreateDevice"));
+  auto context = wrap_device({.instance = vk.instance,
+                              .physical_device = physical_device,
+                              .device = device,
+                              .queue_family = *family,
+                              .get_instance_proc_addr = vk.GetInstanceProcAddr,
+                              .features = caps.features});
+  if (!context) {
+    if (const auto destroy =
+            reinterpret_cast<PFN_vkDestroyDevice>(vk.GetDeviceProcAddr(device, "vkDestroyDevice")))
+      destroy(device, nullptr);
+    return std::move(context.error());
+  }
   Device result;
-  result.context_.device = device;  // destroyed with `result` from here on
-  VkQueue queue = VK_NULL_HANDLE;
-  vkGetDeviceQueue(device, *family, 0, &queue);
-  SHALE_TRY(result.context_, wrap_device(physical_device, device, *family, queue, std::move(caps)));
+  result.context_ = *std::move(context);
+  result.context_.vk.GetDeviceQueue(device, *family, 0, &result.context_.queue);
   return result;
 }
 
@@ -173,7 +254,7 @@ Device& Device::operator=(Device&& other) noexcept {
 }
 
 Device::~Device() {
-  if (context_.device != VK_NULL_HANDLE) vkDestroyDevice(context_.device, nullptr);
+  if (context_.device != VK_NULL_HANDLE) context_.vk.DestroyDevice(context_.device, nullptr);
 }
 
 }  // namespace shale::vk

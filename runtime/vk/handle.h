@@ -19,21 +19,29 @@ inline Result<void> check(VkResult result, const char* call) {
   return device_error(call, "the device answered {}", result_text(result));
 }
 
+/// The function that destroys children of a device of type T.
+template <typename T>
+using Destroy = void(VKAPI_PTR*)(VkDevice, T, const VkAllocationCallbacks*);
+
 /// Destroys a child of a device when it goes; the device must outlive it.
-template <typename T, auto Destroy>
+template <typename T>
 class Handle {
  public:
   Handle() = default;
-  Handle(VkDevice device, T handle) : device_(device), handle_(handle) {}
+  Handle(VkDevice device, T handle, Destroy<T> destroy)
+      : device_(device), handle_(handle), destroy_(destroy) {}
   Handle(Handle&& other) noexcept
-      : device_(other.device_), handle_(std::exchange(other.handle_, T{VK_NULL_HANDLE})) {}
+      : device_(other.device_),
+        handle_(std::exchange(other.handle_, T{VK_NULL_HANDLE})),
+        destroy_(other.destroy_) {}
   Handle& operator=(Handle&& other) noexcept {
     std::swap(device_, other.device_);
     std::swap(handle_, other.handle_);
+    std::swap(destroy_, other.destroy_);
     return *this;
   }
   ~Handle() {
-    if (handle_ != VK_NULL_HANDLE) Destroy(device_, handle_, nullptr);
+    if (handle_ != VK_NULL_HANDLE) destroy_(device_, handle_, nullptr);
   }
 
   T get() const { return handle_; }
@@ -42,23 +50,24 @@ class Handle {
  private:
   VkDevice device_ = VK_NULL_HANDLE;
   T handle_ = VK_NULL_HANDLE;
+  Destroy<T> destroy_ = nullptr;
 };
 
-using BufferHandle = Handle<VkBuffer, vkDestroyBuffer>;
-using BufferViewHandle = Handle<VkBufferView, vkDestroyBufferView>;
-using CommandPoolHandle = Handle<VkCommandPool, vkDestroyCommandPool>;
-using DescriptorPoolHandle = Handle<VkDescriptorPool, vkDestroyDescriptorPool>;
-using FenceHandle = Handle<VkFence, vkDestroyFence>;
-using ImageHandle = Handle<VkImage, vkDestroyImage>;
-using ImageViewHandle = Handle<VkImageView, vkDestroyImageView>;
-using MemoryHandle = Handle<VkDeviceMemory, vkFreeMemory>;
-using PipelineCacheHandle = Handle<VkPipelineCache, vkDestroyPipelineCache>;
-using PipelineHandle = Handle<VkPipeline, vkDestroyPipeline>;
-using PipelineLayoutHandle = Handle<VkPipelineLayout, vkDestroyPipelineLayout>;
-using QueryPoolHandle = Handle<VkQueryPool, vkDestroyQueryPool>;
-using SamplerHandle = Handle<VkSampler, vkDestroySampler>;
-using SetLayoutHandle = Handle<VkDescriptorSetLayout, vkDestroyDescriptorSetLayout>;
-using ShaderModuleHandle = Handle<VkShaderModule, vkDestroyShaderModule>;
+using BufferHandle = Handle<VkBuffer>;
+using BufferViewHandle = Handle<VkBufferView>;
+using CommandPoolHandle = Handle<VkCommandPool>;
+using DescriptorPoolHandle = Handle<VkDescriptorPool>;
+using FenceHandle = Handle<VkFence>;
+using ImageHandle = Handle<VkImage>;
+using ImageViewHandle = Handle<VkImageView>;
+using MemoryHandle = Handle<VkDeviceMemory>;
+using PipelineCacheHandle = Handle<VkPipelineCache>;
+using PipelineHandle = Handle<VkPipeline>;
+using PipelineLayoutHandle = Handle<VkPipelineLayout>;
+using QueryPoolHandle = Handle<VkQueryPool>;
+using SamplerHandle = Handle<VkSampler>;
+using SetLayoutHandle = Handle<VkDescriptorSetLayout>;
+using ShaderModuleHandle = Handle<VkShaderModule>;
 
 /// A Vulkan struct of zeros with its type set.
 template <typename T>
@@ -68,12 +77,15 @@ T init(VkStructureType type) {
   return value;
 }
 
-/// Makes a device child: make(vkCreateFence, "vkCreateFence", device, info) -> Result<FenceHandle>.
-template <typename H, typename Create, typename Info>
-Result<H> make(Create create, const char* call, VkDevice device, const Info& info) {
-  decltype(std::declval<H>().get()) handle = VK_NULL_HANDLE;
+/// Makes a device child: make(vk.CreateFence, vk.DestroyFence, "vkCreateFence", device, info) ->
+/// Result<FenceHandle>.
+template <typename T, typename Info>
+Result<Handle<T>> make(VkResult(VKAPI_PTR* create)(VkDevice, const Info*,
+                                                   const VkAllocationCallbacks*, T*),
+                       Destroy<T> destroy, const char* call, VkDevice device, const Info& info) {
+  T handle = VK_NULL_HANDLE;
   SHALE_TRY_VOID(check(create(device, &info, nullptr, &handle), call));
-  return H(device, handle);
+  return Handle<T>(device, handle, destroy);
 }
 
 }  // namespace shale::vk

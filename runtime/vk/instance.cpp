@@ -18,11 +18,22 @@ VKAPI_ATTR VkBool32 VKAPI_CALL on_message(VkDebugUtilsMessageSeverityFlagBitsEXT
   return VK_FALSE;
 }
 
-bool has_validation_layer() {
+/// An extension's function.
+template <typename Function>
+Function instance_function(const Functions& vk, const char* name) {
+  const auto function = reinterpret_cast<Function>(vk.GetInstanceProcAddr(vk.instance, name));
+  SHALE_CHECK(function);  // the extension is enabled
+  return function;
+}
+
+bool has_validation_layer(PFN_vkGetInstanceProcAddr get_instance_proc_addr) {
+  const auto enumerate = reinterpret_cast<PFN_vkEnumerateInstanceLayerProperties>(
+      get_instance_proc_addr(nullptr, "vkEnumerateInstanceLayerProperties"));
+  if (!enumerate) return false;
   uint32_t count = 0;
-  vkEnumerateInstanceLayerProperties(&count, nullptr);
+  enumerate(&count, nullptr);
   std::vector<VkLayerProperties> layers(count);
-  vkEnumerateInstanceLayerProperties(&count, layers.data());
+  enumerate(&count, layers.data());
   return std::any_of(layers.begin(), layers.end(), [](const VkLayerProperties& layer) {
     return std::strcmp(layer.layerName, kValidationLayer) == 0;
   });
@@ -63,7 +74,11 @@ std::vector<std::string> ValidationLog::take() {
 Result<Instance> Instance::create(const InstanceOptions& options) {
   Instance result;
   result.log_ = std::make_unique<ValidationLog>();
-  if (options.validation && !has_validation_layer())
+  PFN_vkGetInstanceProcAddr get_instance_proc_addr = options.get_instance_proc_addr;
+  if (!get_instance_proc_addr) {
+    SHALE_TRY(get_instance_proc_addr, system_loader());
+  }
+  if (options.validation && !has_validation_layer(get_instance_proc_addr))
     return device_error("", "{} is not installed", kValidationLayer);
 
   auto application = init<VkApplicationInfo>(VK_STRUCTURE_TYPE_APPLICATION_INFO);
@@ -95,50 +110,52 @@ Result<Instance> Instance::create(const InstanceOptions& options) {
     info.enabledExtensionCount = 2;
     info.ppEnabledExtensionNames = extensions;
   }
-  SHALE_TRY_VOID(check(vkCreateInstance(&info, nullptr, &result.instance_), "vkCreateInstance"));
+  const auto create_instance =
+      reinterpret_cast<PFN_vkCreateInstance>(get_instance_proc_addr(nullptr, "vkCreateInstance"));
+  if (!create_instance) return device_error("", "the Vulkan loader has no vkCreateInstance");
+  VkInstance instance = VK_NULL_HANDLE;
+  SHALE_TRY_VOID(check(create_instance(&info, nullptr, &instance), "vkCreateInstance"));
+  SHALE_TRY(result.functions_, load_instance_functions(instance, get_instance_proc_addr));
 
   if (options.validation) {
-    const auto create = reinterpret_cast<PFN_vkCreateDebugUtilsMessengerEXT>(
-        vkGetInstanceProcAddr(result.instance_, "vkCreateDebugUtilsMessengerEXT"));
-    SHALE_CHECK(create);  // the extension is enabled
     messenger.pNext = nullptr;
-    SHALE_TRY_VOID(check(create(result.instance_, &messenger, nullptr, &result.messenger_),
+    SHALE_TRY_VOID(check(instance_function<PFN_vkCreateDebugUtilsMessengerEXT>(
+                             result.functions_, "vkCreateDebugUtilsMessengerEXT")(
+                             instance, &messenger, nullptr, &result.messenger_),
                          "vkCreateDebugUtilsMessengerEXT"));
   }
   return result;
 }
 
 Instance::Instance(Instance&& other) noexcept
-    : instance_(std::exchange(other.instance_, VK_NULL_HANDLE)),
+    : functions_(std::exchange(other.functions_, {})),
       messenger_(std::exchange(other.messenger_, VK_NULL_HANDLE)),
       log_(std::move(other.log_)) {}
 
 Instance& Instance::operator=(Instance&& other) noexcept {
-  std::swap(instance_, other.instance_);
+  std::swap(functions_, other.functions_);
   std::swap(messenger_, other.messenger_);
   std::swap(log_, other.log_);
   return *this;
 }
 
 Instance::~Instance() {
-  if (messenger_ != VK_NULL_HANDLE) {
-    const auto destroy = reinterpret_cast<PFN_vkDestroyDebugUtilsMessengerEXT>(
-        vkGetInstanceProcAddr(instance_, "vkDestroyDebugUtilsMessengerEXT"));
-    destroy(instance_, messenger_, nullptr);
-  }
-  if (instance_ != VK_NULL_HANDLE) vkDestroyInstance(instance_, nullptr);
+  if (messenger_ != VK_NULL_HANDLE)
+    instance_function<PFN_vkDestroyDebugUtilsMessengerEXT>(
+        functions_, "vkDestroyDebugUtilsMessengerEXT")(get(), messenger_, nullptr);
+  if (get() != VK_NULL_HANDLE) functions_.DestroyInstance(get(), nullptr);
 }
 
 Result<std::vector<VkPhysicalDevice>> Instance::physical_devices() const {
   uint32_t count = 0;
-  SHALE_TRY_VOID(
-      check(vkEnumeratePhysicalDevices(instance_, &count, nullptr), "vkEnumeratePhysicalDevices"));
-  std::vector<VkPhysicalDevice> devices(count);
-  SHALE_TRY_VOID(check(vkEnumeratePhysicalDevices(instance_, &count, devices.data()),
+  SHALE_TRY_VOID(check(functions_.EnumeratePhysicalDevices(get(), &count, nullptr),
                        "vkEnumeratePhysicalDevices"));
-  std::erase_if(devices, [](VkPhysicalDevice device) {
+  std::vector<VkPhysicalDevice> devices(count);
+  SHALE_TRY_VOID(check(functions_.EnumeratePhysicalDevices(get(), &count, devices.data()),
+                       "vkEnumeratePhysicalDevices"));
+  std::erase_if(devices, [&](VkPhysicalDevice device) {
     VkPhysicalDeviceProperties properties;
-    vkGetPhysicalDeviceProperties(device, &properties);
+    functions_.GetPhysicalDeviceProperties(device, &properties);
     return properties.apiVersion < VK_API_VERSION_1_3;
   });
   return devices;
@@ -149,7 +166,7 @@ Result<VkPhysicalDevice> Instance::find_device(std::string_view name_part) const
   std::string names;
   for (VkPhysicalDevice device : devices) {
     VkPhysicalDeviceProperties properties;
-    vkGetPhysicalDeviceProperties(device, &properties);
+    functions_.GetPhysicalDeviceProperties(device, &properties);
     const std::string_view name = properties.deviceName;
     if (name.find(name_part) != name.npos) return device;
     names += fmt::format("{}\"{}\"", names.empty() ? "" : ", ", name);

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "ir/base/result.h"
+#include "runtime/vk/functions.h"
 
 namespace shale::vk {
 
@@ -28,6 +29,8 @@ class ValidationLog {
 struct InstanceOptions {
   /// Core and synchronization checks of VK_LAYER_KHRONOS_validation.
   bool validation = false;
+  /// Of the loader to use; null is the system's (system_loader).
+  PFN_vkGetInstanceProcAddr get_instance_proc_addr = nullptr;
 };
 
 class Instance {
@@ -39,7 +42,8 @@ class Instance {
   Instance& operator=(Instance&& other) noexcept;
   ~Instance();
 
-  VkInstance get() const { return instance_; }
+  VkInstance get() const { return functions_.instance; }
+  const Functions& functions() const { return functions_; }
 
   /// Devices of Vulkan 1.3 and above, in the loader's order; empty if there are none.
   Result<std::vector<VkPhysicalDevice>> physical_devices() const;
@@ -54,7 +58,7 @@ class Instance {
  private:
   Instance() = default;
 
-  VkInstance instance_ = VK_NULL_HANDLE;
+  Functions functions_;  // its instance is null if this owns none
   VkDebugUtilsMessengerEXT messenger_ = VK_NULL_HANDLE;
   std::unique_ptr<ValidationLog> log_;  // the messenger keeps its address
 };

@@ -4,8 +4,6 @@
 #include <bit>
 #include <cstring>
 
-#include "runtime/vk/commands.h"
-
 namespace shale::vk {
 namespace {
 
@@ -55,7 +53,8 @@ Result<MemoryHandle> allocate(const Context& context, const VkMemoryRequirements
   auto info = init<VkMemoryAllocateInfo>(VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO);
   info.allocationSize = requirements.size;
   info.memoryTypeIndex = *type;
-  return make<MemoryHandle>(vkAllocateMemory, "vkAllocateMemory", context.device, info);
+  return make(context.vk.AllocateMemory, context.vk.FreeMemory, "vkAllocateMemory", context.device,
+              info);
 }
 
 Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes, VkBufferUsageFlags usage,
@@ -65,29 +64,32 @@ Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes, VkBuf
   info.usage = usage;
   Buffer result;
   result.size_bytes_ = size_bytes;
-  SHALE_TRY(result.buffer_,
-            make<BufferHandle>(vkCreateBuffer, "vkCreateBuffer", context.device, info));
+  SHALE_TRY(result.buffer_, make(context.vk.CreateBuffer, context.vk.DestroyBuffer,
+                                 "vkCreateBuffer", context.device, info));
   VkMemoryRequirements requirements;
-  vkGetBufferMemoryRequirements(context.device, result.get(), &requirements);
+  context.vk.GetBufferMemoryRequirements(context.device, result.get(), &requirements);
+  result.memory_bytes_ = requirements.size;
   SHALE_TRY(result.memory_, allocate(context, requirements, kind));
-  SHALE_TRY_VOID(check(vkBindBufferMemory(context.device, result.get(), result.memory_.get(), 0),
-                       "vkBindBufferMemory"));
+  SHALE_TRY_VOID(
+      check(context.vk.BindBufferMemory(context.device, result.get(), result.memory_.get(), 0),
+            "vkBindBufferMemory"));
   if (kind != MemoryKind::kDevice) {
     void* mapped = nullptr;
-    SHALE_TRY_VOID(
-        check(vkMapMemory(context.device, result.memory_.get(), 0, VK_WHOLE_SIZE, 0, &mapped),
-              "vkMapMemory"));
+    SHALE_TRY_VOID(check(
+        context.vk.MapMemory(context.device, result.memory_.get(), 0, VK_WHOLE_SIZE, 0, &mapped),
+        "vkMapMemory"));
     result.mapped_ = static_cast<uint8_t*>(mapped);
   }
   return result;
 }
 
-Result<Buffer> upload(const Context& context, std::span<const uint8_t> bytes, uint64_t size_bytes,
+Result<Upload> upload(const Context& context, std::span<const uint8_t> bytes, uint64_t size_bytes,
                       VkBufferUsageFlags usage) {
   const auto fill = [&](const Buffer& buffer) {
     std::memcpy(buffer.mapped().data(), bytes.data(), bytes.size());
     std::memset(buffer.mapped().data() + bytes.size(), 0, size_bytes - bytes.size());
   };
+  Upload result;
   usage |= VK_BUFFER_USAGE_TRANSFER_DST_BIT;
   const bool host_writes_device_memory =
       choose_memory_type(context.memory, ~0u, kMapped | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, 0)
@@ -96,19 +98,20 @@ Result<Buffer> upload(const Context& context, std::span<const uint8_t> bytes, ui
     // That memory may be a small window which is used up; the staged way below remains.
     if (auto direct = Buffer::create(context, size_bytes, usage, MemoryKind::kUpload)) {
       fill(*direct);
-      return direct;
+      result.buffer = *std::move(direct);
+      return result;
     }
   }
-  SHALE_TRY(Buffer result, Buffer::create(context, size_bytes, usage, MemoryKind::kDevice));
-  SHALE_TRY(
-      const Buffer staging,
-      Buffer::create(context, size_bytes, VK_BUFFER_USAGE_TRANSFER_SRC_BIT, MemoryKind::kUpload));
-  fill(staging);
-  SHALE_TRY_VOID(submit_and_wait(context, [&](VkCommandBuffer commands) {
-    const VkBufferCopy region{0, 0, size_bytes};
-    vkCmdCopyBuffer(commands, staging.get(), result.get(), 1, &region);
-  }));
+  SHALE_TRY(result.buffer, Buffer::create(context, size_bytes, usage, MemoryKind::kDevice));
+  SHALE_TRY(result.staging, Buffer::create(context, size_bytes, VK_BUFFER_USAGE_TRANSFER_SRC_BIT,
+                                           MemoryKind::kUpload));
+  fill(result.staging);
   return result;
+}
+
+void record_upload(const Context& context, VkCommandBuffer commands, const Upload& upload) {
+  const VkBufferCopy region{0, 0, upload.buffer.size_bytes()};
+  context.vk.CmdCopyBuffer(commands, upload.staging.get(), upload.buffer.get(), 1, &region);
 }
 
 VkFormat vk_format(ImageFormat format) {
@@ -137,7 +140,7 @@ Result<Image> Image::create(const Context& context, ImageFormat format, VkExtent
                             VkImageUsageFlags usage) {
   usage |= VK_IMAGE_USAGE_TRANSFER_SRC_BIT | VK_IMAGE_USAGE_TRANSFER_DST_BIT;
   VkImageFormatProperties limits;
-  const VkResult supported = vkGetPhysicalDeviceImageFormatProperties(
+  const VkResult supported = context.vk.GetPhysicalDeviceImageFormatProperties(
       context.physical_device, vk_format(format), VK_IMAGE_TYPE_2D, VK_IMAGE_TILING_OPTIMAL, usage,
       0, &limits);
   if (supported != VK_SUCCESS || extent.width > limits.maxExtent.width ||
@@ -156,19 +159,22 @@ Result<Image> Image::create(const Context& context, ImageFormat format, VkExtent
   info.initialLayout = VK_IMAGE_LAYOUT_UNDEFINED;
   Image result;
   result.extent_ = extent;
-  SHALE_TRY(result.image_, make<ImageHandle>(vkCreateImage, "vkCreateImage", context.device, info));
+  SHALE_TRY(result.image_, make(context.vk.CreateImage, context.vk.DestroyImage, "vkCreateImage",
+                                context.device, info));
   VkMemoryRequirements requirements;
-  vkGetImageMemoryRequirements(context.device, result.get(), &requirements);
+  context.vk.GetImageMemoryRequirements(context.device, result.get(), &requirements);
+  result.memory_bytes_ = requirements.size;
   SHALE_TRY(result.memory_, allocate(context, requirements, MemoryKind::kDevice));
-  SHALE_TRY_VOID(check(vkBindImageMemory(context.device, result.get(), result.memory_.get(), 0),
-                       "vkBindImageMemory"));
+  SHALE_TRY_VOID(
+      check(context.vk.BindImageMemory(context.device, result.get(), result.memory_.get(), 0),
+            "vkBindImageMemory"));
   auto view = init<VkImageViewCreateInfo>(VK_STRUCTURE_TYPE_IMAGE_VIEW_CREATE_INFO);
   view.image = result.get();
   view.viewType = VK_IMAGE_VIEW_TYPE_2D;
   view.format = info.format;
   view.subresourceRange = kWholeImage;
-  SHALE_TRY(result.view_,
-            make<ImageViewHandle>(vkCreateImageView, "vkCreateImageView", context.device, view));
+  SHALE_TRY(result.view_, make(context.vk.CreateImageView, context.vk.DestroyImageView,
+                               "vkCreateImageView", context.device, view));
   return result;
 }
 

@@ -36,7 +36,10 @@ class Buffer {
                                VkBufferUsageFlags usage, MemoryKind kind);
 
   VkBuffer get() const { return buffer_.get(); }
+  explicit operator bool() const { return static_cast<bool>(buffer_); }
   uint64_t size_bytes() const { return size_bytes_; }
+  /// What it takes of the device's memory.
+  uint64_t memory_bytes() const { return memory_bytes_; }
   /// Empty for kDevice.
   std::span<uint8_t> mapped() const { return {mapped_, mapped_ ? size_bytes_ : 0}; }
 
@@ -44,15 +47,26 @@ class Buffer {
   MemoryHandle memory_;  // freed after the buffer
   BufferHandle buffer_;
   uint64_t size_bytes_ = 0;
+  uint64_t memory_bytes_ = 0;
   uint8_t* mapped_ = nullptr;
 };
 
-/// A buffer on the device that holds `bytes`, zeros behind them up to `size_bytes`; `usage` gains
-/// VK_BUFFER_USAGE_TRANSFER_DST_BIT. Goes through a staging buffer and the context's queue where
-/// the host cannot write device memory.
+/// A buffer of the device, and where its content still has to come from.
+struct Upload {
+  Buffer buffer;
+  /// Empty where the host could write the buffer itself. Else record_upload has to be recorded
+  /// before the first use, and this has to stay until the device has done that.
+  Buffer staging;
+};
+
+/// A buffer on the device that is to hold `bytes`, zeros behind them up to `size_bytes`; `usage`
+/// gains VK_BUFFER_USAGE_TRANSFER_DST_BIT. Submits nothing.
 /// Errors: kDevice.
-Result<Buffer> upload(const Context& context, std::span<const uint8_t> bytes, uint64_t size_bytes,
+Result<Upload> upload(const Context& context, std::span<const uint8_t> bytes, uint64_t size_bytes,
                       VkBufferUsageFlags usage);
+
+/// Copies from the staging buffer, which must be there; barriers are the caller's.
+void record_upload(const Context& context, VkCommandBuffer commands, const Upload& upload);
 
 /// SHALE_CHECK on kNone.
 VkFormat vk_format(ImageFormat format);
@@ -69,12 +83,15 @@ class Image {
   VkImage get() const { return image_.get(); }
   VkImageView view() const { return view_.get(); }
   VkExtent2D extent() const { return extent_; }
+  /// What it takes of the device's memory.
+  uint64_t memory_bytes() const { return memory_bytes_; }
 
  private:
   MemoryHandle memory_;  // freed after the image
   ImageHandle image_;
   ImageViewHandle view_;
   VkExtent2D extent_{};
+  uint64_t memory_bytes_ = 0;
 };
 
 /// The only level and layer of a colour image.

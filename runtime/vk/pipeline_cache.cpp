@@ -47,12 +47,12 @@ Result<void> check_vulkan_header(std::span<const uint8_t> data, const CacheIdent
 
 }  // namespace
 
-CacheIdentity cache_identity(VkPhysicalDevice device) {
+CacheIdentity cache_identity(VkPhysicalDevice device, const Functions& vk) {
   auto ids = init<VkPhysicalDeviceIDProperties>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES);
   auto properties =
       init<VkPhysicalDeviceProperties2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2);
   properties.pNext = &ids;
-  vkGetPhysicalDeviceProperties2(device, &properties);
+  vk.GetPhysicalDeviceProperties2(device, &properties);
   CacheIdentity identity;
   identity.vendor_id = properties.properties.vendorID;
   identity.device_id = properties.properties.deviceID;
@@ -98,8 +98,9 @@ Result<std::span<const uint8_t>> read_cache_blob(std::span<const uint8_t> bytes,
 
 Result<PipelineCache> PipelineCache::load(const Context& context, std::string path) {
   PipelineCache result;
+  result.vk_ = context.vk;
   result.device_ = context.device;
-  result.identity_ = cache_identity(context.physical_device);
+  result.identity_ = cache_identity(context.physical_device, context.vk);
   result.path_ = std::move(path);
   auto info = init<VkPipelineCacheCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO);
   const auto bytes = read_file(result.path_);
@@ -111,17 +112,17 @@ Result<PipelineCache> PipelineCache::load(const Context& context, std::string pa
     info.initialDataSize = data->size();
     info.pInitialData = data->data();
   }
-  SHALE_TRY(result.cache_, make<PipelineCacheHandle>(vkCreatePipelineCache, "vkCreatePipelineCache",
-                                                     context.device, info));
+  SHALE_TRY(result.cache_, make(context.vk.CreatePipelineCache, context.vk.DestroyPipelineCache,
+                                "vkCreatePipelineCache", context.device, info));
   return result;
 }
 
 Result<void> PipelineCache::save() const {
   size_t size = 0;
-  SHALE_TRY_VOID(check(vkGetPipelineCacheData(device_, cache_.get(), &size, nullptr),
+  SHALE_TRY_VOID(check(vk_.GetPipelineCacheData(device_, cache_.get(), &size, nullptr),
                        "vkGetPipelineCacheData"));
   std::vector<uint8_t> data(size);
-  SHALE_TRY_VOID(check(vkGetPipelineCacheData(device_, cache_.get(), &size, data.data()),
+  SHALE_TRY_VOID(check(vk_.GetPipelineCacheData(device_, cache_.get(), &size, data.data()),
                        "vkGetPipelineCacheData"));
   data.resize(size);
   const std::vector<uint8_t> bytes = write_cache_blob(data, identity_);

@@ -21,7 +21,7 @@ struct CacheIdentity {
   std::array<uint8_t, VK_UUID_SIZE> cache_uuid{};  ///< pipelineCacheUUID of the properties
   bool operator==(const CacheIdentity&) const = default;
 };
-CacheIdentity cache_identity(VkPhysicalDevice device);
+CacheIdentity cache_identity(VkPhysicalDevice device, const Functions& vk);
 
 /// A cache file: our header (magic, driver, length and hash of the data), then Vulkan's cache data.
 std::vector<uint8_t> write_cache_blob(std::span<const uint8_t> data, const CacheIdentity& identity);
@@ -48,6 +48,7 @@ class PipelineCache {
   Result<void> save() const;
 
  private:
+  Functions vk_;
   VkDevice device_ = VK_NULL_HANDLE;
   PipelineCacheHandle cache_;
   CacheIdentity identity_;

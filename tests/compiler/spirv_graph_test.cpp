@@ -1495,7 +1495,7 @@ TEST(SpirvGraph, ReadsModulesOfOtherProducers) {
   return %features
 }
 )");
-  const auto pool = modules_in(must(read_file(folder + "pool_clamp_graph.vgf")));
+  const auto pool = modules_in(must(read_file(SHALE_SOURCE_DIR "/tests/golden/vgf/pool_clamp_graph.vgf")));
   ASSERT_EQ(pool.size(), 1u);
   EXPECT_EQ(outcome(pool[0]), R"(graph pool_clamp {
   input %in0 : i8[1,8,8,4]

@@ -11,3 +11,4 @@ run(${CMAKE_COMMAND} -S ${SOURCE_DIR}/outside -B ${WORK_DIR}/build -DCMAKE_PREFI
 run(${CMAKE_COMMAND} --build ${WORK_DIR}/build)
 run(${WORK_DIR}/prefix/bin/shale compile ${MODEL} --render 24x16 -o ${WORK_DIR}/small.shale)
 run(${WORK_DIR}/build/outside ${WORK_DIR}/small.shale)
+run(${WORK_DIR}/build/outside_c)

@@ -95,13 +95,13 @@ Package sample_package() {
                        {1, stored, kHistory, none, false, true, 0},
                        {2, stored, kShown, none, false, true, 0}},
                       {}};
-  const Dispatch conv3{"conv3",
-                       "conv2d_s8_f32exact",
-                       1,
-                       {4, 1, 1},
-                       {{0, storage, kPast, none, true, false, 1},
-                        {1, storage, kY, none, false, true, 0}},
-                       {}};
+  const Dispatch conv3{
+      "conv3",
+      "conv2d_s8_f32exact",
+      1,
+      {4, 1, 1},
+      {{0, storage, kPast, none, true, false, 1}, {1, storage, kY, none, false, true, 0}},
+      {}};
   v.segments = {{"pre", SegmentKind::kCompute, {pack}},
                 {"network", SegmentKind::kGraph, {conv1, conv2}},
                 {"post", SegmentKind::kCompute, {show}},
@@ -123,7 +123,8 @@ Package sample_package() {
   return p;
 }
 
-/// sample_package behind a copy of its input image into a linear one, and with another that is cleared and read.
+/// sample_package behind a copy of its input image into a linear one, and with another that is
+/// cleared and read.
 Package linear_package() {
   Package p = sample_package();
   Variant& v = p.variants[0];
@@ -325,9 +326,10 @@ TEST(OldPackages, NeedTheFormatsThatTheyStore) {
   Variant& v = package.variants[0];
   v.resources[6].format = ImageFormat::kR8Unorm;  // "shown"
   std::vector<uint8_t> bytes = write_package(package);
-  EXPECT_EQ(refusal(bytes),
-            "variant 0: the requirements lack shaderStorageImageExtendedFormats, which the bindings "
-            "need");
+  EXPECT_EQ(
+      refusal(bytes),
+      "variant 0: the requirements lack shaderStorageImageExtendedFormats, which the bindings "
+      "need");
   set_minor(bytes, 3);
   const Result<Package> old = read_package(bytes);
   ASSERT_TRUE(old) << old.error().text();

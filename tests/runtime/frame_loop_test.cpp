@@ -126,11 +126,13 @@ TEST_F(FrameLoopTest, RunsANetworkAloneOnItsTensors) {
   run([&](VkCommandBuffer commands) {
     const VkBufferCopy to_x{0, x.offset, kSmallBytes};
     vkCmdCopyBuffer(commands, in.get(), x.buffer, 1, &to_x);
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT,
-                       VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_READ_BIT);
+    vk::memory_barrier(context(), commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                       VK_ACCESS_SHADER_READ_BIT);
     must(loop.record(commands));
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
-                       VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_READ_BIT);
+    vk::memory_barrier(context(), commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                       VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_READ_BIT);
     const VkBufferCopy from_y{y.offset, 0, kSmallBytes};
     vkCmdCopyBuffer(commands, y.buffer, out.get(), 1, &from_y);
   });
@@ -157,7 +159,8 @@ TEST_F(FrameLoopTest, MeasuresAllSegments) {
             "3 intervals were measured, expected 2 dispatches");
 }
 
-/// Shows the colours of the frame before, from a history in a buffer; and zeros, from one that is filled and then cleared.
+/// Shows the colours of the frame before, from a history in a buffer; and zeros, from one that is
+/// filled and then cleared.
 Package transfers() {
   enum : uint32_t { kColor, kKept, kScratch, kShown, kEmpty };
   const auto image = [](const char* name, Category category, bool linear, uint32_t depth = 0) {
@@ -265,6 +268,20 @@ TEST_F(FrameLoopTest, RefusesWhatItCannotRun) {
   poor.caps.features = {};
   EXPECT_NE(error_text(FrameLoop::create(poor, small_frame())).find("shaderInt8 is not supported"),
             std::string::npos);
+}
+
+TEST_F(FrameLoopTest, RefusesTooFewTimestamps) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_graph()));
+  auto timestamps = must(vk::Timestamps::create(context(), 3));
+  run([&](VkCommandBuffer commands) {
+    EXPECT_EQ(error_text(loop.record(commands, &timestamps)),
+              "the timestamps hold 3 intervals, 4 dispatches need one each");
+  });
+  EXPECT_EQ(loop.frame(), 0u);
+}
+
+TEST_F(FrameLoopTest, HistoriesMayHaveAnyDepths) {
+  // The rings come round together after 7 * 11 * 3 frames only.
   Package package = small_frame();
   Variant& variant = package.variants[0];
   for (const uint32_t depth : {7u, 11u}) {
@@ -272,9 +289,56 @@ TEST_F(FrameLoopTest, RefusesWhatItCannotRun) {
     variant.resources.back().name = fmt::format("history{}", depth);
     variant.resources.back().history_depth = depth;
   }
-  const auto refused = FrameLoop::create(context(), package);
-  ASSERT_FALSE(refused);
-  EXPECT_EQ(refused.error().code, ErrorCode::kUnsupported);
+  FrameLoop loop = must(FrameLoop::create(context(), package));
+  const std::vector<uint8_t> texels = random_bytes(kSmallBytes, 800);
+  const vk::Image in = color(texels), out = empty();
+  must(loop.bind_image("color", view_of(in)));
+  must(loop.bind_image("shown", view_of(out)));
+  SmallFrameModel model;
+  for (int frame = 0; frame < 5; ++frame) {
+    run([&](VkCommandBuffer commands) { must(loop.record(commands)); });
+    EXPECT_EQ(texels_of(out, kColorFormat), model.next(texels)) << "frame " << frame;
+  }
+}
+
+TEST_F(FrameLoopTest, RunsPackagesOfEarlierVersions) {
+  for (const char* version : {"1.0", "1.1", "1.2", "1.3"}) {
+    const std::vector<uint8_t> bytes =
+        must(read_file(fmt::format("{}/tests/ir/packages/{}.shale", SHALE_SOURCE_DIR, version)));
+    FrameLoop loop = must(FrameLoop::create(context(), must(read_package(bytes))));
+    const std::vector<uint8_t> texels = random_bytes(kSmallBytes, 900);
+    const vk::Image in = color(texels), out = empty();
+    must(loop.bind_image("color", view_of(in)));
+    must(loop.bind_image("shown", view_of(out)));
+    SmallFrameModel model;
+    for (int frame = 0; frame < 3; ++frame) {
+      run([&](VkCommandBuffer commands) { must(loop.record(commands)); });
+      EXPECT_EQ(texels_of(out, kColorFormat), model.next(texels)) << version << " " << frame;
+    }
+  }
+}
+
+TEST_F(FrameLoopTest, FiltersImagesBySampler) {
+  FrameLoop loop = must(FrameLoop::create(context(), small_filter()));
+  EXPECT_EQ(loop.image_usage("color"), VkImageUsageFlags{VK_IMAGE_USAGE_SAMPLED_BIT});
+  const std::vector<uint8_t> texels = random_bytes(kSmallBytes, 1000);
+  const vk::Image in = color(texels), out = empty();
+  must(loop.bind_image("color", view_of(in)));
+  must(loop.bind_image("shown", view_of(out)));
+  run([&](VkCommandBuffer commands) { must(loop.record(commands)); });
+  const std::vector<uint8_t> shown = texels_of(out, kColorFormat);
+  for (uint32_t y = 0; y < kSmallHeight; ++y)
+    for (uint32_t x = 0; x < kSmallWidth; ++x)
+      for (uint32_t k = 0; k < 4; ++k) {
+        const auto at = [&](uint32_t u, uint32_t v) {  // clamped to the edge
+          return int{texels[4 * (std::min(v, kSmallHeight - 1) * kSmallWidth +
+                                 std::min(u, kSmallWidth - 1)) +
+                            k]};
+        };
+        const int sum = at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1);
+        // A device interpolates with 8 bits of position or fewer, and rounds twice.
+        EXPECT_NEAR(shown[4 * (y * kSmallWidth + x) + k], sum / 4.0, 2) << x << "," << y;
+      }
 }
 
 TEST_F(FrameLoopTest, HostProgramFindsItsPackage) {

@@ -131,8 +131,8 @@ TEST_F(SessionTest, MayBeRecordedTwiceWithABarrierBetween) {
   const Bound bound = bind(session, x);
   run([&](VkCommandBuffer commands) {
     must(session.record(commands));
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
-                       VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+    vk::memory_barrier(context(), commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                       VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                        VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
     must(session.record(commands));
   });

@@ -3,6 +3,7 @@
 #include <array>
 
 #include "generated/add.h"
+#include "generated/filter.h"
 #include "generated/pair.h"
 #include "generated/post.h"
 #include "generated/pre.h"
@@ -43,8 +44,8 @@ Resource image(std::string name, Category category, ImageFormat format, uint32_t
   return r;
 }
 
-Binding reads(uint32_t number, uint32_t resource) {
-  return {.binding = number, .resource = resource, .reads = true};
+Binding reads(uint32_t number, uint32_t resource, uint32_t frames_back = 0) {
+  return {.binding = number, .resource = resource, .reads = true, .frames_back = frames_back};
 }
 
 Binding writes(uint32_t number, uint32_t resource) {
@@ -173,13 +174,73 @@ Package small_frame() {
   return package_of(std::move(v));
 }
 
+Package small_frame_again() {
+  Package package = small_frame();
+  Variant& v = package.variants[0];
+  Segment again = v.segments[0];
+  again.name = "again";
+  again.program = 1;
+  again.dispatches[0].name = "pre_again";
+  for (Binding& binding : again.dispatches[0].bindings)
+    if (binding.frames_back > 0) --binding.frames_back;
+  v.segments.push_back(std::move(again));
+  v.programs = {"frame", "again"};
+  return package;
+}
+
+Package small_programs() {
+  enum : uint32_t { kX, kW, kY, kS, kZ };
+  enum : uint32_t { kScale, kAdd };
+  Variant v;
+  v.resources = {tensor("x", Category::kInput), weights(), tensor("y", Category::kOutput),
+                 tensor("s", Category::kOutput), tensor("z", Category::kOutput)};
+  v.resources[kY].history_depth = 3;
+  v.modules = {words(kScaleWords), words(kAddWords)};
+  const std::array<uint32_t, 3> grid{kSmallBytes / 64, 1, 1};
+  v.programs = {"frame", "between"};
+  v.segments = {{"network",
+                 SegmentKind::kGraph,
+                 {{"scale", "scale", kScale, grid, {reads(0, kX), reads(1, kW), writes(2, kY)}, {}},
+                  {"sum", "add", kAdd, grid, {reads(0, kY), reads(1, kY, 2), writes(2, kS)}, {}}}},
+                {"middle",
+                 SegmentKind::kGraph,
+                 {{"mix", "add", kAdd, grid, {reads(0, kY), reads(1, kY, 1), writes(2, kZ)}, {}}},
+                 1}};
+  return package_of(std::move(v));
+}
+
+Package small_filter() {
+  enum : uint32_t { kColor, kShown };
+  Variant v;
+  v.resources = {image("color", Category::kImageInput, ImageFormat::kRgba8Unorm),
+                 image("shown", Category::kImageOutput, ImageFormat::kRgba8Unorm)};
+  v.modules = {words(kFilterWords)};
+  Binding filtered = sampled(0, kColor);
+  filtered.type = BindingType::kSampler;
+  v.segments = {{"filter",
+                 SegmentKind::kCompute,
+                 {{"filter",
+                   "filter",
+                   0,
+                   {kSmallWidth / 8, kSmallHeight / 8, 1},
+                   {filtered, stored(1, kShown, true)},
+                   {}}}}};
+  return package_of(std::move(v));
+}
+
+std::vector<uint32_t> SmallFrameModel::blend() const {
+  std::vector<uint32_t> blend(kPixels);
+  for (size_t p = 0; p < kPixels; ++p) blend[p] = last_[p] + 2 * before_[p];
+  return blend;
+}
+
 std::vector<uint8_t> SmallFrameModel::next(const std::vector<uint8_t>& color) {
-  std::vector<uint32_t> history(kPixels);
+  std::vector<uint32_t> history = blend();
   std::vector<uint8_t> shown(kSmallBytes);
   for (size_t p = 0; p < kPixels; ++p) {
     int sum = 100;
     for (size_t k = 0; k < 4; ++k) sum += static_cast<int8_t>(color[4 * p + k] / 4 * kWeights[k]);
-    history[p] = last_[p] + 2 * before_[p] + static_cast<uint32_t>(sum);
+    history[p] += static_cast<uint32_t>(sum);
     for (size_t k = 0; k < 4; ++k) shown[4 * p + k] = static_cast<uint8_t>(history[p] >> (8 * k));
   }
   before_ = std::move(last_);

@@ -23,12 +23,26 @@ std::vector<int8_t> small_graph_result(const std::vector<int8_t>& x);
 /// rgba8_unorm), with the internal image "blend" and the history "history" (r32_uint) of depth 3.
 Package small_frame();
 
+/// small_frame and a second program, "again", that only fills "blend" (and "x"), with what the next
+/// frame would fill it: from the same history, which it only reads.
+Package small_frame_again();
+
+/// Two programs of one graph each on one history of tensors, "y" of depth 3: "frame" writes
+/// y = x * weight of the channel and s = y + y of two records before; "between" z = y + y of the
+/// record before. "x" is filled by the host.
+Package small_programs();
+
+/// A pass that shows image "color" by a sampler halfway between four texels, in image "shown".
+Package small_filter();
+
 /// The same frames in plain C++.
 class SmallFrameModel {
  public:
   /// `color` and the result are kSmallBytes of RGBA.
   std::vector<uint8_t> next(const std::vector<uint8_t>& color);
   void reset_history();
+  /// What is in "blend" next time.
+  std::vector<uint32_t> blend() const;
 
  private:
   static constexpr size_t kPixels = kSmallWidth * kSmallHeight;

@@ -26,7 +26,7 @@ void VulkanTest::SetUpTestSuite() {
     std::printf("%s\n", physical.error().text().c_str());
     return;
   }
-  vk::Device device = must(vk::Device::create(*physical, instance->get()));
+  vk::Device device = must(vk::Device::create(*physical, instance->functions()));
   gpu_ = std::make_unique<Gpu>(*std::move(instance), std::move(device), validated);
 }
 
@@ -45,11 +45,22 @@ std::vector<std::string> VulkanTest::validation_messages() {
   return gpu_->instance.take_validation_messages();
 }
 
+std::optional<vk::Context> VulkanTest::discrete_context() {
+  vk::Context discrete = context();
+  VkMemoryType& type = discrete.memory.memoryTypes[0];
+  if (discrete.memory.memoryTypeCount != 1 ||
+      !(type.propertyFlags & VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT))
+    return std::nullopt;
+  type.propertyFlags &= ~VkMemoryPropertyFlags{VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
+  return discrete;
+}
+
 void VulkanTest::run(const std::function<void(VkCommandBuffer)>& record) {
   must(vk::submit_and_wait(context(), [&](VkCommandBuffer commands) {
     record(commands);
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_ACCESS_MEMORY_WRITE_BIT,
-                       VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+    vk::memory_barrier(context(), commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
+                       VK_ACCESS_MEMORY_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                       VK_ACCESS_HOST_READ_BIT);
   }));
 }
 

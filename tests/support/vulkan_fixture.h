@@ -47,6 +47,10 @@ class VulkanTest : public testing::Test {
   static std::vector<std::string> validation_messages();
   static bool validated() { return gpu_->validated; }
 
+  /// The same device, as if the host could write none of its own memory. Only where that can be
+  /// said of a single type of memory; skip the test otherwise.
+  static std::optional<vk::Context> discrete_context();
+
   /// Submits and waits; what was written is visible to mapped buffers afterwards.
   static void run(const std::function<void(VkCommandBuffer)>& record);
 

@@ -44,8 +44,8 @@ class TexelBuffer {
       info.buffer = buffer_.get();
       info.format = format_;
       info.range = VK_WHOLE_SIZE;
-      SHALE_TRY(view_, vk::make<vk::BufferViewHandle>(vkCreateBufferView, "vkCreateBufferView",
-                                                      context.device, info));
+      SHALE_TRY(view_, vk::make(context.vk.CreateBufferView, context.vk.DestroyBufferView,
+                                "vkCreateBufferView", context.device, info));
     }
     if (texels > 0) std::memcpy(buffer_.mapped().data(), data, texels * texel_bytes_);
     return {};
@@ -106,14 +106,14 @@ class SceneRenderer::Impl {
                       static_cast<int32_t>(end),
                       static_cast<int32_t>(grid.samples)};
       SHALE_TRY_VOID(vk::submit_and_wait(context_, [&](VkCommandBuffer commands) {
-        vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline_.get());
-        vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, layout_.get(), 0, 1,
-                                &set_, 0, nullptr);
-        vkCmdPushConstants(commands, layout_.get(), VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(push),
-                           &push);
-        vkCmdDispatch(commands, (width + kGroup - 1) / kGroup, (end - row + kGroup - 1) / kGroup,
-                      1);
-        vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+        context_.vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline_.get());
+        context_.vk.CmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, layout_.get(),
+                                          0, 1, &set_, 0, nullptr);
+        context_.vk.CmdPushConstants(commands, layout_.get(), VK_SHADER_STAGE_COMPUTE_BIT, 0,
+                                     sizeof(push), &push);
+        context_.vk.CmdDispatch(commands, (width + kGroup - 1) / kGroup,
+                                (end - row + kGroup - 1) / kGroup, 1);
+        vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                            VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
                            VK_ACCESS_HOST_READ_BIT);
       }));
@@ -158,9 +158,9 @@ class SceneRenderer::Impl {
         VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
     set_info.bindingCount = static_cast<uint32_t>(bindings.size());
     set_info.pBindings = bindings.data();
-    SHALE_TRY(set_layout_, vk::make<vk::SetLayoutHandle>(vkCreateDescriptorSetLayout,
-                                                         "vkCreateDescriptorSetLayout",
-                                                         context_.device, set_info));
+    SHALE_TRY(set_layout_, vk::make(context_.vk.CreateDescriptorSetLayout,
+                                    context_.vk.DestroyDescriptorSetLayout,
+                                    "vkCreateDescriptorSetLayout", context_.device, set_info));
     const VkDescriptorSetLayout set_layout = set_layout_.get();
     const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(Push)};
     auto info = vk::init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
@@ -168,23 +168,21 @@ class SceneRenderer::Impl {
     info.pSetLayouts = &set_layout;
     info.pushConstantRangeCount = 1;
     info.pPushConstantRanges = &range;
-    SHALE_TRY(layout_,
-              vk::make<vk::PipelineLayoutHandle>(vkCreatePipelineLayout, "vkCreatePipelineLayout",
-                                                 context_.device, info));
+    SHALE_TRY(layout_, vk::make(context_.vk.CreatePipelineLayout, context_.vk.DestroyPipelineLayout,
+                                "vkCreatePipelineLayout", context_.device, info));
     auto pool_info =
         vk::init<VkDescriptorPoolCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO);
     pool_info.maxSets = 1;
     pool_info.poolSizeCount = static_cast<uint32_t>(sizes.size());
     pool_info.pPoolSizes = sizes.data();
-    SHALE_TRY(pool_,
-              vk::make<vk::DescriptorPoolHandle>(vkCreateDescriptorPool, "vkCreateDescriptorPool",
-                                                 context_.device, pool_info));
+    SHALE_TRY(pool_, vk::make(context_.vk.CreateDescriptorPool, context_.vk.DestroyDescriptorPool,
+                              "vkCreateDescriptorPool", context_.device, pool_info));
     auto allocate =
         vk::init<VkDescriptorSetAllocateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO);
     allocate.descriptorPool = pool_.get();
     allocate.descriptorSetCount = 1;
     allocate.pSetLayouts = &set_layout;
-    return vk::check(vkAllocateDescriptorSets(context_.device, &allocate, &set_),
+    return vk::check(context_.vk.AllocateDescriptorSets(context_.device, &allocate, &set_),
                      "vkAllocateDescriptorSets");
   }
 
@@ -220,8 +218,8 @@ class SceneRenderer::Impl {
     module_info.codeSize = words.size() * sizeof(uint32_t);
     module_info.pCode = words.data();
     SHALE_TRY(const vk::ShaderModuleHandle module,
-              vk::make<vk::ShaderModuleHandle>(vkCreateShaderModule, "vkCreateShaderModule",
-                                               context_.device, module_info));
+              vk::make(context_.vk.CreateShaderModule, context_.vk.DestroyShaderModule,
+                       "vkCreateShaderModule", context_.device, module_info));
     auto info =
         vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
     info.stage = vk::init<VkPipelineShaderStageCreateInfo>(
@@ -232,10 +230,10 @@ class SceneRenderer::Impl {
     info.stage.pSpecializationInfo = &specialization;
     info.layout = layout_.get();
     VkPipeline pipeline = VK_NULL_HANDLE;
-    SHALE_TRY_VOID(
-        vk::check(vkCreateComputePipelines(context_.device, cache, 1, &info, nullptr, &pipeline),
-                  "vkCreateComputePipelines"));
-    pipeline_ = vk::PipelineHandle(context_.device, pipeline);
+    SHALE_TRY_VOID(vk::check(
+        context_.vk.CreateComputePipelines(context_.device, cache, 1, &info, nullptr, &pipeline),
+        "vkCreateComputePipelines"));
+    pipeline_ = vk::PipelineHandle(context_.device, pipeline, context_.vk.DestroyPipeline);
     return {};
   }
 
@@ -258,8 +256,8 @@ class SceneRenderer::Impl {
     }
     writes[3].descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
     writes[3].pBufferInfo = &out;
-    vkUpdateDescriptorSets(context_.device, static_cast<uint32_t>(writes.size()), writes.data(), 0,
-                           nullptr);
+    context_.vk.UpdateDescriptorSets(context_.device, static_cast<uint32_t>(writes.size()),
+                                     writes.data(), 0, nullptr);
   }
 
   const vk::Context context_;

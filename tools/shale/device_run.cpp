@@ -55,7 +55,7 @@ Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
   SHALE_TRY(vk::Instance instance, vk::Instance::create({.validation = arguments.validation}));
   tool.instance_ = std::make_unique<vk::Instance>(std::move(instance));
   SHALE_TRY(const VkPhysicalDevice physical, tool.instance_->find_device(arguments.name));
-  SHALE_TRY(vk::Device device, vk::Device::create(physical, tool.instance_->get()));
+  SHALE_TRY(vk::Device device, vk::Device::create(physical, tool.instance_->functions()));
   tool.device_ = std::make_unique<vk::Device>(std::move(device));
   if (arguments.cache.empty()) return tool;
   if (const std::optional<std::string> why = not_a_cache(arguments.cache)) {
@@ -144,8 +144,9 @@ struct NetworkRun::State {
       if (all) all->start(commands);
       recorded = session.record(commands, each);
       if (all) all->mark(commands);
-      vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
-                         VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+      vk::memory_barrier(context, commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                         VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                         VK_ACCESS_HOST_READ_BIT);
     }));
     return recorded;
   }

@@ -87,7 +87,7 @@ Result<int> doctor(bool as_json) {
   } else {
     SHALE_TRY(const std::vector<VkPhysicalDevice> devices, instance->physical_devices());
     for (const VkPhysicalDevice device : devices) {
-      const DeviceCaps caps = vk::snapshot_caps(device, instance->get());
+      const DeviceCaps caps = vk::snapshot_caps(device, instance->functions());
       json["devices"].push_back(describe(caps));
       if (lacking(caps).empty()) exit = kDone;
     }

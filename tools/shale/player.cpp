@@ -106,11 +106,13 @@ Result<vk::Buffer> download(const vk::Context& context, uint64_t bytes,
   SHALE_TRY(vk::Buffer buffer, vk::Buffer::create(context, bytes, VK_BUFFER_USAGE_TRANSFER_DST_BIT,
                                                   vk::MemoryKind::kReadback));
   SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, VK_ACCESS_MEMORY_WRITE_BIT,
-                       VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_READ_BIT);
+    vk::memory_barrier(context, commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
+                       VK_ACCESS_MEMORY_WRITE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_READ_BIT);
     copy(commands, buffer.get());
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT,
-                       VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+    vk::memory_barrier(context, commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                       VK_ACCESS_HOST_READ_BIT);
   }));
   return buffer;
 }
@@ -118,7 +120,7 @@ Result<vk::Buffer> download(const vk::Context& context, uint64_t bytes,
 Result<vk::Buffer> download(const vk::Context& context, const TensorView& view) {
   return download(context, view.size_bytes, [&](VkCommandBuffer commands, VkBuffer to) {
     const VkBufferCopy copy{view.offset, 0, view.size_bytes};
-    vkCmdCopyBuffer(commands, view.buffer, to, 1, &copy);
+    context.vk.CmdCopyBuffer(commands, view.buffer, to, 1, &copy);
   });
 }
 
@@ -245,9 +247,9 @@ Result<void> Player::make_images() {
       is_unorm(images_.at("output").resource->format))
     return unsupported("", "one of color and output is of unorm format, the other is not");
   return vk::submit_and_wait(context_, [&](VkCommandBuffer commands) {
-    vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT,
-                         VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 0, nullptr, 0, nullptr,
-                         static_cast<uint32_t>(barriers.size()), barriers.data());
+    context_.vk.CmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT,
+                                   VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 0, nullptr, 0, nullptr,
+                                   static_cast<uint32_t>(barriers.size()), barriers.data());
   });
 }
 
@@ -330,21 +332,23 @@ Result<void> Player::run(std::vector<DispatchTime>* times) {
     for (const auto& [name, host] : images_) {
       if (host.resource->category != Category::kImageInput) continue;
       const VkBufferImageCopy in = whole(host.image.extent());
-      vkCmdCopyBufferToImage(commands, host.staging.get(), host.image.get(),
-                             VK_IMAGE_LAYOUT_GENERAL, 1, &in);
+      context_.vk.CmdCopyBufferToImage(commands, host.staging.get(), host.image.get(),
+                                       VK_IMAGE_LAYOUT_GENERAL, 1, &in);
     }
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+    vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
                        VK_ACCESS_TRANSFER_WRITE_BIT | VK_ACCESS_TRANSFER_READ_BIT,
                        VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                        VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
     recorded = loop_.record(commands, timestamps ? &*timestamps : nullptr);
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT, VK_ACCESS_SHADER_WRITE_BIT,
-                       VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_READ_BIT);
+    vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                       VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_READ_BIT);
     const VkBufferImageCopy out = whole(output.image.extent());
-    vkCmdCopyImageToBuffer(commands, output.image.get(), VK_IMAGE_LAYOUT_GENERAL,
-                           output.staging.get(), 1, &out);
-    vk::memory_barrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_ACCESS_TRANSFER_WRITE_BIT,
-                       VK_PIPELINE_STAGE_HOST_BIT, VK_ACCESS_HOST_READ_BIT);
+    context_.vk.CmdCopyImageToBuffer(commands, output.image.get(), VK_IMAGE_LAYOUT_GENERAL,
+                                     output.staging.get(), 1, &out);
+    vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                       VK_ACCESS_HOST_READ_BIT);
   }));
   SHALE_TRY_VOID(recorded);
   if (timestamps) {
@@ -405,8 +409,8 @@ Result<FloatImage> Player::read(const std::string& name, bool real) const {
               download(context_, (image_bytes(*wanted) + 3) / 4 * 4,
                        [&](VkCommandBuffer commands, VkBuffer to) {
                          const VkBufferImageCopy copy = whole({extent.width, extent.height});
-                         vkCmdCopyImageToBuffer(commands, image, VK_IMAGE_LAYOUT_GENERAL, to, 1,
-                                                &copy);
+                         context_.vk.CmdCopyImageToBuffer(commands, image, VK_IMAGE_LAYOUT_GENERAL,
+                                                          to, 1, &copy);
                        }));
     return unpack_texels(buffer.mapped(), wanted->format, extent);
   }

@@ -157,7 +157,7 @@ class Converter {
         entry.shape = {1, resource.height, resource.width,
                        image_format_info(resource.format).channels};
         break;
-      case BindingType::kTransfer:  // one end is a linear image, which is refused
+      case BindingType::kTransfer:        // one end is a linear image, which is refused
       case BindingType::kSampler: break;  // refused
     }
     return entry;

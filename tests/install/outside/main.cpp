@@ -15,7 +15,8 @@ shale::Result<uint64_t> prepare(const char* path) {
   SHALE_TRY(const shale::Package package, shale::read_package(bytes));
   SHALE_TRY(const shale::vk::Instance instance, shale::vk::Instance::create());
   SHALE_TRY(const VkPhysicalDevice physical, instance.find_device(""));
-  SHALE_TRY(const shale::vk::Device device, shale::vk::Device::create(physical));
+  SHALE_TRY(const shale::vk::Device device,
+            shale::vk::Device::create(physical, instance.functions()));
   SHALE_TRY(const shale::FrameLoop loop, shale::FrameLoop::create(device.context(), package));
   return loop.variant().segments.size();
 }
