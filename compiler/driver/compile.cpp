@@ -75,6 +75,7 @@ class VariantBuilder {
         blob_(blob),
         warnings_(warnings) {
     variant_.target = profile.name;
+    variant_.device_class = profile.device_class;
   }
 
   Result<Variant> build() {
@@ -217,6 +218,8 @@ class VariantBuilder {
     all.workgroup_invocations =
         std::max(all.workgroup_invocations, module.needs.workgroup_invocations);
     all.shared_bytes = std::max(all.shared_bytes, module.needs.shared_bytes);
+    all.matrix_products.insert(all.matrix_products.end(), module.needs.matrix_products.begin(),
+                               module.needs.matrix_products.end());
     const auto same = std::find(variant_.modules.begin(), variant_.modules.end(), module.words);
     const uint32_t index = static_cast<uint32_t>(same - variant_.modules.begin());
     if (same == variant_.modules.end()) variant_.modules.push_back(std::move(module.words));
@@ -245,7 +248,7 @@ class VariantBuilder {
         emitted.family = &select_kernel(problem, profile_, options_.kernels);
     }
     SHALE_TRY(emitted.sources, emitted.family->emit(problem, profile_));
-    emitted.work = emitted.family->work(problem);
+    emitted.work = emitted.family->work(problem, profile_);
     for (size_t part = 0; part < emitted.sources.size(); ++part) {
       std::string& own =
           emitted.names.emplace_back(part == 0 ? name : fmt::format("{}#{}", name, part));
@@ -533,6 +536,12 @@ class VariantBuilder {
     variant_.requirements.features = from_modules.features;
     variant_.requirements.workgroup_invocations = from_modules.workgroup_invocations;
     variant_.requirements.shared_bytes = from_modules.shared_bytes;
+    std::vector<MatrixProduct>& products = variant_.requirements.matrix_products;
+    products = from_modules.matrix_products;
+    std::sort(products.begin(), products.end());
+    products.erase(std::unique(products.begin(), products.end()), products.end());
+    // Kernels with matrices have one subgroup to a workgroup.
+    if (!products.empty()) variant_.requirements.subgroup_size = profile_.caps.subgroup_size;
     for (const std::string& line : missing(profile_.caps, variant_.requirements))
       warnings_.push_back(fmt::format("target {}: {}", profile_.name, line));
   }
@@ -668,7 +677,9 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
   const auto start = std::chrono::steady_clock::now();
   WeightBlob blob;
   for (const std::string& target : options.targets) {
-    const DeviceProfile* profile = find_profile(target);
+    const auto own_profile = options.profiles.find(target);
+    const DeviceProfile* profile =
+        own_profile != options.profiles.end() ? &own_profile->second : find_profile(target);
     if (!profile) {
       std::string known;
       for (const DeviceProfile& each : known_profiles())
@@ -676,7 +687,8 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
       return bad_input("--target", "\"{}\" is unknown, expected one of: {}", target, known);
     }
     DeviceProfile own = *profile;
-    if (const auto measured = options.constants.find(target); measured != options.constants.end())
+    if (const auto measured = options.constants.find(std::string(own.name));
+        measured != options.constants.end())
       own.ns = measured->second.ns, own.roof_gops = measured->second.roof_gops;
     VariantBuilder builder(graph, problems, own, options, blob, compiled.warnings);
     SHALE_TRY(Variant variant, builder.build());

@@ -21,7 +21,7 @@ double weighed_us(const KernelFamily& family, const GroupProblem& problem,
       family.literals
           ? profile.driver_us_per_product * static_cast<double>(family.literals(problem, profile))
           : 0;
-  return work_time_us(family.work(problem), profile.ns) + setup_us / kFramesPerStart;
+  return work_time_us(family.work(problem, profile), profile.ns) + setup_us / kFramesPerStart;
 }
 
 }  // namespace
@@ -48,8 +48,8 @@ const KernelFamily& select_kernel(const GroupProblem& problem, const DeviceProfi
   }
   if (!best) return generic;
   // A family that was asked for by name serves wherever it can.
-  const bool faster = work_time_us(best->work(problem), profile.ns) <=
-                      work_time_us(generic.work(problem), profile.ns);
+  const bool faster = work_time_us(best->work(problem, profile), profile.ns) <=
+                      work_time_us(generic.work(problem, profile), profile.ns);
   return faster || !allowed.empty() ? *best : generic;
 }
 

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "compiler/target/profile.h"
+#include "ir/package/rank.h"
 
 namespace shale {
 namespace {
@@ -37,11 +38,13 @@ WorkTable work_ns(std::initializer_list<std::pair<Work, double>> list) {
 }
 
 /// A class of GPUs: what any has, and `more`. Rates are assumed, for ranking kernels only.
-DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet more,
-                       WorkTable more_ns = {}) {
+DeviceProfile gpu_with(std::string_view name, std::string_view help, DeviceClass device_class,
+                       FeatureSet more, WorkTable more_ns = {},
+                       std::vector<MatrixProduct> products = {}) {
   DeviceProfile profile{
       .name = name,
       .help = help,
+      .device_class = device_class,
       .caps = {.name = "GPU",
                .driver = "",
                .api_version = (1u << 22) | (3u << 12),
@@ -57,7 +60,8 @@ DeviceProfile gpu_with(std::string_view name, std::string_view help, FeatureSet 
                .max_storage_buffers = 16,
                .max_texel_buffers = 16,
                .max_storage_images = 8,
-               .subgroup_size = 32},
+               .subgroup_size = 32,
+               .matrix_products = std::move(products)},
       .ns = work_ns({{Work::kDispatch, 5000},
                      {Work::kGenericMac, 0.02},
                      {Work::kGenericResult, 0.05},
@@ -72,6 +76,7 @@ const std::vector<DeviceProfile>& profiles() {
   static const std::vector<DeviceProfile> table{
       {.name = "lavapipe",
        .help = "Vulkan on the CPU by Mesa: literal weights, float32 where exact",
+       .device_class = DeviceClass::kCpu,
        .caps = {.name = "llvmpipe",
                 .driver = "Mesa 22.3",
                 .api_version = (1u << 22) | (3u << 12),
@@ -109,14 +114,16 @@ const std::vector<DeviceProfile>& profiles() {
            "at 320x180 (shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa "
            "22.3.6; "
            "float_product, int_product and generic_mac from tests/bench, byte assumed"},
-      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers", {}),
+      gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers",
+               DeviceClass::kAny, {}),
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",
-               features({Feature::kDotProduct8}), work_ns({{Work::kDotMac, 0.002}})),
+               DeviceClass::kDot8Gpu, features({Feature::kDotProduct8}),
+               work_ns({{Work::kDotMac, 0.002}})),
       gpu_with(
           "coopmat-gpu",
           "a GPU with int8 cooperative matrices of 16x16x32 in subgroups of 32 (not run on one)",
-          features({Feature::kDotProduct8, Feature::kCooperativeMatrix}),
-          work_ns({{Work::kDotMac, 0.002}, {Work::kMatrixMac, 0.0008}})),
+          DeviceClass::kMatrixGpu, features({Feature::kDotProduct8, Feature::kCooperativeMatrix}),
+          work_ns({{Work::kDotMac, 0.002}, {Work::kMatrixMac, 0.0008}}), {{16, 16, 32}}),
   };
   return table;
 }
@@ -140,6 +147,15 @@ const DeviceProfile* find_profile(std::string_view name) {
   for (const DeviceProfile& profile : profiles())
     if (profile.name == name) return &profile;
   return nullptr;
+}
+
+DeviceProfile profile_from_caps(const DeviceCaps& caps) {
+  const auto same_class = [&](const DeviceProfile& profile) {
+    return profile.device_class == device_class(caps);
+  };
+  DeviceProfile profile = *std::find_if(profiles().begin(), profiles().end(), same_class);
+  profile.caps = caps;
+  return profile;
 }
 
 }  // namespace shale

@@ -55,6 +55,7 @@ struct MeasuredConstants {
 struct DeviceProfile {
   std::string_view name;
   std::string_view help;
+  DeviceClass device_class = DeviceClass::kAny;
   DeviceCaps caps;
   WorkTable ns{};  ///< what a unit of work takes, all cores at work
   double roof_gops =
@@ -66,5 +67,9 @@ struct DeviceProfile {
 
 std::span<const DeviceProfile> known_profiles();
 const DeviceProfile* find_profile(std::string_view name);
+
+/// The profile of the device's class (device_class), under its name and with its constants, for the
+/// capabilities that the device really has.
+DeviceProfile profile_from_caps(const DeviceCaps& caps);
 
 }  // namespace shale

@@ -16,8 +16,8 @@ enum class Feature : uint32_t {
   kInt64 = 4,            ///< shaderInt64
   kFloat16 = 5,          ///< shaderFloat16
   kDotProduct8 = 6,      ///< shaderIntegerDotProduct
-  /// VK_KHR_cooperative_matrix with products of 16x32 by 32x16 int8 into int32, in subgroups of 32;
-  /// and vulkanMemoryModel, which modules with such products have to use
+  /// VK_KHR_cooperative_matrix with the products that DeviceCaps::matrix_products lists; and
+  /// vulkanMemoryModel, which modules with such products have to use
   kCooperativeMatrix = 7,
   kFloat64 = 8,  ///< shaderFloat64
 };
@@ -32,6 +32,26 @@ struct FeatureSet {
   void add(Feature f) { bits |= 1u << static_cast<uint32_t>(f); }
   bool operator==(const FeatureSet&) const = default;
 };
+
+/// What kind of device a variant is for. The numbers are stored in packages.
+enum class DeviceClass : uint8_t {
+  kAny = 0,        ///< whatever meets the requirements
+  kCpu = 1,        ///< a driver that runs shaders on the CPU
+  kDot8Gpu = 2,    ///< a GPU with int8 dot products
+  kMatrixGpu = 3,  ///< a GPU with int8 cooperative matrices
+};
+inline constexpr uint32_t kDeviceClassCount = 4;
+
+/// As `shale dump` writes it: "dot8-gpu".
+const char* device_class_name(DeviceClass device_class);
+
+/// A product that a subgroup computes: m x k int8 times k x n int8, added to m x n int32.
+struct MatrixProduct {
+  uint32_t m = 0, n = 0, k = 0;
+  auto operator<=>(const MatrixProduct&) const = default;
+};
+/// "16x16x32", in the order m, n, k.
+std::string matrix_product_text(const MatrixProduct& product);
 
 /// Snapshot of a device, taken by runtime/vk or written down in compiler/target; no handles.
 struct DeviceCaps {
@@ -50,6 +70,9 @@ struct DeviceCaps {
   uint32_t max_texel_buffers = 0;    ///< sampled images per stage; texel buffers count there
   uint32_t max_storage_images = 0;   ///< per stage
   uint32_t subgroup_size = 0;
+  /// Signed, not saturating, of subgroups; ascending. Empty without kCooperativeMatrix.
+  std::vector<MatrixProduct> matrix_products = {};
+  bool operator==(const DeviceCaps&) const = default;
 };
 
 /// What a variant needs. Filled from the SPIR-V words and the dispatches, never by hand.
@@ -62,6 +85,8 @@ struct Requirements {
   uint32_t storage_buffers = 0;      ///< most in one dispatch
   uint32_t texel_buffers = 0;        ///< most in one dispatch, sampled images included
   uint32_t storage_images = 0;       ///< most in one dispatch
+  uint32_t subgroup_size = 0;        ///< of modules with matrix products; 0 is any
+  std::vector<MatrixProduct> matrix_products = {};  ///< those of the modules, ascending
   bool operator==(const Requirements&) const = default;
 };
 

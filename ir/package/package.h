@@ -234,6 +234,7 @@ struct Variant {
   std::vector<RangeProof> proofs;
   std::vector<Param> params;
   std::vector<View> views;
+  DeviceClass device_class = DeviceClass::kAny;
   bool operator==(const Variant&) const = default;
 };
 
@@ -248,7 +249,7 @@ struct Provenance {
 
 struct Package {
   Provenance provenance;
-  std::vector<Variant> variants;  ///< the runtime takes the first that the device meets
+  std::vector<Variant> variants;  ///< the runtime takes the best that the device meets: rank.h
   std::vector<uint8_t> weights;   ///< shared by the variants
   bool operator==(const Package&) const = default;
 };

@@ -40,7 +40,7 @@ enum class Scope { kGraph, kFrame };
 /// One variant of a package on a device. Its address is kept by what is made from it.
 class Kernels {
  public:
-  /// Takes the first variant that the device meets, creates one pipeline per unique module and
+  /// Takes the best variant that the device meets (rank.h), creates one pipeline per unique module and
   /// descriptor layout, on all cores, and uploads the weights. `cache` may be VK_NULL_HANDLE.
   /// Errors: kBadInput (check_package), kDevice (no variant fits, telling why for each; or the
   /// device refuses).
@@ -121,7 +121,7 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
                   const TargetOf& target, vk::Timestamps* timestamps);
 
-/// Index of the first variant that a device with `caps` can run.
+/// Index of the best variant that a device with `caps` can run.
 /// Errors: kDevice, telling what is missing for each variant.
 Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps);
 

@@ -25,7 +25,7 @@ struct DataGraphPipelineOptions {
 /// must outlive it. May be used from many threads.
 class DataGraphPipeline {
  public:
-  /// Takes the first variant that the device meets; `package` may go afterwards. Uses the queue of
+  /// Takes the best variant that the device meets (rank.h); `package` may go afterwards. Uses the queue of
   /// `device` if the weights need staging.
   /// Errors: kBadInput if check_package refuses the package; kDevice if the device meets no variant
   /// (what is missing is told for each), is out of memory, or refuses a shader.

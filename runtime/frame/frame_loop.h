@@ -57,7 +57,7 @@ struct FrameLoopOptions {
 /// none.
 class FrameLoop {
  public:
-  /// Takes the first variant that the device meets; `package` may go afterwards. Uses the context's
+  /// Takes the best variant that the device meets (rank.h); `package` may go afterwards. Uses the context's
   /// queue.
   /// Errors: kBadInput if check_package refuses the package or the options are out of range;
   /// kUnsupported if the depths of the histories have a common multiple above 64 only; kDevice if

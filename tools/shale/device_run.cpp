@@ -19,6 +19,12 @@ void add_device_options(CLI::App& app, DeviceArguments& device) {
                "run under the Vulkan validation layer; its messages are failures");
 }
 
+Result<DeviceCaps> caps_at_hand(const DeviceArguments& arguments) {
+  SHALE_TRY(const vk::Instance instance, vk::Instance::create());
+  SHALE_TRY(const VkPhysicalDevice physical, instance.find_device(arguments.name));
+  return vk::snapshot_caps(physical, instance.get());
+}
+
 Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
   ToolDevice tool;
   SHALE_TRY(vk::Instance instance, vk::Instance::create({.validation = arguments.validation}));
