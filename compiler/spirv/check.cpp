@@ -87,7 +87,9 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
         case spv::CapabilitySampledBuffer:
         case spv::CapabilityImageBuffer:
         case spv::CapabilityImageQuery:
-        case spv::CapabilityStorageImageExtendedFormats: break;
+        case spv::CapabilityStorageImageExtendedFormats:
+          needs.features.add(Feature::kStorageImageExtended);
+          break;
         case spv::CapabilityInt8: needs.features.add(Feature::kInt8); break;
         case spv::CapabilityInt16: needs.features.add(Feature::kInt16); break;
         case spv::CapabilityInt64: needs.features.add(Feature::kInt64); break;

@@ -18,6 +18,7 @@ constexpr std::array<const char*, kFeatureCount> kFeatureNames{
     "shaderIntegerDotProduct",
     "cooperativeMatrix",
     "shaderFloat64",
+    "shaderStorageImageExtendedFormats",
 };
 
 constexpr std::array<const char*, kDeviceClassCount> kDeviceClassNames{"any", "cpu", "dot8-gpu",

@@ -20,8 +20,11 @@ enum class Feature : uint32_t {
   /// vulkanMemoryModel, which modules with such products have to use
   kCooperativeMatrix = 7,
   kFloat64 = 8,  ///< shaderFloat64
+  /// shaderStorageImageExtendedFormats: storage images of the formats that every device need not
+  /// have
+  kStorageImageExtended = 9,
 };
-inline constexpr uint32_t kFeatureCount = 9;
+inline constexpr uint32_t kFeatureCount = 10;
 
 /// Feature as written in messages and by `shale doctor`: "shaderInt8".
 const char* feature_name(Feature feature);
@@ -67,7 +70,8 @@ struct DeviceCaps {
   uint64_t max_storage_range_bytes = 0;
   uint64_t max_texel_elements = 0;
   uint32_t max_storage_buffers = 0;  ///< per stage
-  uint32_t max_texel_buffers = 0;    ///< sampled images per stage; texel buffers count there
+  uint32_t max_texel_buffers = 0;    ///< sampled images per stage; texel buffers and images with
+                                     ///< samplers count there
   uint32_t max_storage_images = 0;   ///< per stage
   uint32_t subgroup_size = 0;
   /// Signed, not saturating, of subgroups; ascending. Empty without kCooperativeMatrix.
@@ -83,7 +87,7 @@ struct Requirements {
   uint64_t storage_range_bytes = 0;  ///< largest buffer binding
   uint64_t texel_elements = 0;       ///< largest texel buffer binding
   uint32_t storage_buffers = 0;      ///< most in one dispatch
-  uint32_t texel_buffers = 0;        ///< most in one dispatch, sampled images included
+  uint32_t texel_buffers = 0;        ///< most in one dispatch, all sampled images included
   uint32_t storage_images = 0;       ///< most in one dispatch
   uint32_t subgroup_size = 0;        ///< of modules with matrix products; 0 is any
   std::vector<MatrixProduct> matrix_products = {};  ///< those of the modules, ascending

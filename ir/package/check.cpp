@@ -34,6 +34,13 @@ Result<void> check_unique_name(const std::string& where, const char* what, const
   return {};
 }
 
+/// Of a history of images or tensors.
+Result<void> check_depth(const std::string& where, uint32_t depth) {
+  if (depth < 2 || depth > kMaxHistoryDepth)
+    return bad_input(where, "history depth {} is outside 2..{}", depth, kMaxHistoryDepth);
+  return {};
+}
+
 Result<void> check_range(const std::string& where, const Resource& tensor, const char* pool,
                          uint64_t pool_bytes) {
   if (tensor.offset_bytes % kBufferAlignment != 0)
@@ -66,9 +73,13 @@ Result<void> check_tensor(const std::string& where, const Resource& tensor, cons
   if (tensor.quantization &&
       !(std::isfinite(tensor.quantization->scale) && tensor.quantization->scale > 0))
     return bad_input(where, "scale {} is not a positive number", tensor.quantization->scale);
-  if (tensor.format != ImageFormat::kNone || tensor.width != 0 || tensor.height != 0 ||
-      tensor.history_depth != 0)
+  if (tensor.format != ImageFormat::kNone || tensor.width != 0 || tensor.height != 0)
     return bad_input(where, "a tensor has image fields");
+  if (tensor.history_depth != 0) {
+    if (tensor.category != Category::kInput && tensor.category != Category::kOutput)
+      return bad_input(where, "only inputs and outputs can be histories");
+    SHALE_TRY_VOID(check_depth(where, tensor.history_depth));
+  }
   if (tensor.category == Category::kIntermediate)
     return check_range(where, tensor, "arena", variant.arena_bytes);
   if (tensor.category == Category::kWeights)
@@ -101,9 +112,7 @@ Result<void> check_image(const std::string& where, const Resource& image) {
       return bad_input(where, "size is {} bytes, the extent makes {}", image.size_bytes, bytes);
   }
   const bool history = image.category == Category::kImageHistory;
-  if (history && (image.history_depth < 2 || image.history_depth > kMaxHistoryDepth))
-    return bad_input(where, "history depth {} is outside 2..{}", image.history_depth,
-                     kMaxHistoryDepth);
+  if (history) SHALE_TRY_VOID(check_depth(where, image.history_depth));
   if (!history && image.history_depth != 0)
     return bad_input(where, "history depth {} of an image that is no history", image.history_depth);
   return {};
@@ -137,8 +146,6 @@ Result<void> check_buffer_binding(const std::string& where, const Binding& bindi
 Result<void> check_tensor_binding(const std::string& where, const Binding& binding,
                                   const Resource& tensor, SegmentKind segment) {
   SHALE_TRY_VOID(check_buffer_binding(where, binding, tensor));
-  if (binding.frames_back != 0)
-    return bad_input(where, "frames_back is {} on a tensor", binding.frames_back);
   if (binding.writes && tensor.category == Category::kWeights)
     return bad_input(where, "weights \"{}\" are written", tensor.name);
   if (binding.writes && tensor.category == Category::kInput && segment == SegmentKind::kGraph)
@@ -158,23 +165,32 @@ Result<void> check_image_binding(const std::string& where, const Binding& bindin
     SHALE_TRY_VOID(check_buffer_binding(where, binding, image));
   } else {
     const bool shaders =
-        binding.type == BindingType::kSampledImage || binding.type == BindingType::kStorageImage;
+        is_sampled(binding.type) || binding.type == BindingType::kStorageImage;
     if (segment == SegmentKind::kCompute && !shaders)
       return bad_input(where, "a buffer descriptor leads to the image \"{}\"", image.name);
     if (binding.view_format != ImageFormat::kNone)
       return bad_input(where, "an image descriptor has a view format");
-    if (binding.writes && binding.type == BindingType::kSampledImage)
+    if (binding.writes && is_sampled(binding.type))
       return bad_input(where, "a sampled image is written");
+    const ImageFormatInfo& format = image_format_info(image.format);
+    if (binding.type == BindingType::kSampler && !format.filtered)
+      return bad_input(where, "not every device filters the format {} of \"{}\"", format.name,
+                       image.name);
   }
   if (binding.writes && image.category == Category::kImageInput)
     return bad_input(where, "the input image \"{}\" is written", image.name);
-  // Only a history has frames to go back to, and only its newest image may change.
-  const uint32_t depth = std::max(image.history_depth, 1u);
+  return {};
+}
+
+/// Only a history has frames to go back to, and only its newest one may change.
+Result<void> check_frames_back(const std::string& where, const Binding& binding,
+                               const Resource& resource) {
+  const uint32_t depth = std::max(resource.history_depth, 1u);
   if (binding.frames_back >= depth)
     return bad_input(where, "frames_back is {}, \"{}\" holds {} frame(s)", binding.frames_back,
-                     image.name, depth);
+                     resource.name, depth);
   if (binding.writes && binding.frames_back != 0)
-    return bad_input(where, "an earlier frame's \"{}\" is written", image.name);
+    return bad_input(where, "an earlier frame's \"{}\" is written", resource.name);
   return {};
 }
 
@@ -194,8 +210,10 @@ Result<void> check_binding(const std::string& where, const Binding& binding, con
   if ((binding.type == BindingType::kTransfer) != (segment == SegmentKind::kTransfer))
     return bad_input(where, "transfer segments have transfer bindings, and no others do");
   const Resource& resource = variant.resources[binding.resource];
-  return is_image(resource.category) ? check_image_binding(where, binding, resource, segment)
-                                     : check_tensor_binding(where, binding, resource, segment);
+  SHALE_TRY_VOID(is_image(resource.category)
+                     ? check_image_binding(where, binding, resource, segment)
+                     : check_tensor_binding(where, binding, resource, segment));
+  return check_frames_back(where, binding, resource);
 }
 
 /// Behind check_binding of each binding.
@@ -243,13 +261,17 @@ Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
     if (count < 1 || count > kMaxWorkgroups)
       return bad_input(where, "a grid of {} workgroups is outside 1..{}", count, kMaxWorkgroups);
   uint64_t used = 0;
+  uint32_t samplers = 0;
   for (const Binding& binding : dispatch.bindings) {
     const std::string at = fmt::format("{}, binding {}", where, binding.binding);
     SHALE_TRY_VOID(check_binding(at, binding, variant, segment));
     const uint64_t bit = uint64_t{1} << binding.binding;
     if (used & bit) return bad_input(at, "the binding number is taken already");
     used |= bit;
+    samplers += binding.type == BindingType::kSampler;
   }
+  if (samplers > kMaxSamplers)
+    return bad_input(where, "has {} samplers, more than {}", samplers, kMaxSamplers);
   if (segment == SegmentKind::kTransfer) SHALE_TRY_VOID(check_transfer(where, dispatch, variant));
   if (!(std::isfinite(dispatch.cost.time_us) && dispatch.cost.time_us >= 0))
     return bad_input(where, "predicted time {} is not a duration", dispatch.cost.time_us);
@@ -348,6 +370,11 @@ Result<void> check_requirements(const std::string& where, const Variant& variant
       result = bad_input(where, "{} is {}, the bindings need {}", what, stated, used);
   };
   const Requirements& stated = variant.requirements;
+  for (uint32_t i = 0; i < kFeatureCount; ++i)
+    if (const auto feature = static_cast<Feature>(i);
+        bindings.features.has(feature) && !stated.features.has(feature))
+      return bad_input(where, "the requirements lack {}, which the bindings need",
+                       feature_name(feature));
   covers("storage_range_bytes", stated.storage_range_bytes, bindings.storage_range_bytes);
   covers("texel_elements", stated.texel_elements, bindings.texel_elements);
   covers("storage_buffers", stated.storage_buffers, bindings.storage_buffers);
@@ -356,9 +383,47 @@ Result<void> check_requirements(const std::string& where, const Variant& variant
   return result;
 }
 
+bool is_identifier(std::string_view text) {
+  const auto letter = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_';
+  };
+  const auto digit = [](char c) { return c >= '0' && c <= '9'; };
+  return !text.empty() && letter(text[0]) &&
+         std::all_of(text.begin(), text.end(), [&](char c) { return letter(c) || digit(c); });
+}
+
+Result<void> check_programs(const std::string& where, const Variant& variant) {
+  if (variant.programs.empty()) return bad_input(where, "has no program");
+  std::set<std::string_view> names;
+  for (size_t i = 0; i < variant.programs.size(); ++i) {
+    const std::string& name = variant.programs[i];
+    const std::string at = fmt::format("{}, program {}", where, i);
+    SHALE_TRY_VOID(check_unique_name(at, "program name", name, names));
+    if (!is_identifier(name)) return bad_input(at, "\"{}\" is no identifier", name);
+  }
+  uint32_t program = 0;
+  for (size_t s = 0; s < variant.segments.size(); ++s) {
+    const std::string at = fmt::format("{}, segment {}", where, s);
+    const uint32_t next = variant.segments[s].program;
+    if (next >= variant.programs.size())
+      return bad_input(at, "program {} does not exist, there are {}", next,
+                       variant.programs.size());
+    if (next < program || next > program + (s == 0 ? 0 : 1))
+      return bad_input(at, "program {} does not follow program {}", next, program);
+    program = next;
+  }
+  if (variant.segments.empty() || program + 1 < variant.programs.size())
+    return bad_input(where, "program \"{}\" has no segment",
+                     variant.programs[variant.segments.empty() ? 0 : program + 1]);
+  return {};
+}
+
 Result<void> check_variant(const std::string& where, const Variant& variant,
                            uint64_t weight_bytes) {
   SHALE_TRY_VOID(check_name(where, "target name", variant.target));
+  if (static_cast<uint32_t>(variant.device_class) >= kDeviceClassCount)
+    return bad_input(where, "device class {} does not exist",
+                     static_cast<uint32_t>(variant.device_class));
   if (variant.arena_bytes >= kMaxTensorBytes)
     return bad_input(where, "an arena of {} bytes is not below {}", variant.arena_bytes,
                      kMaxTensorBytes);
@@ -380,14 +445,12 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
   }
   std::set<std::string_view> segment_names;
   std::set<std::string_view> dispatch_names;
-  size_t graphs = 0;
   for (size_t s = 0; s < variant.segments.size(); ++s) {
     const Segment& segment = variant.segments[s];
     const std::string at = fmt::format("{}, segment {}", where, s);
     SHALE_TRY_VOID(check_unique_name(at, "segment name", segment.name, segment_names));
     if (segment.kind > SegmentKind::kTransfer)
       return bad_input(at, "segment kind {} does not exist", static_cast<uint32_t>(segment.kind));
-    if (segment.kind == SegmentKind::kGraph) ++graphs;
     for (size_t d = 0; d < segment.dispatches.size(); ++d) {
       const Dispatch& dispatch = segment.dispatches[d];
       SHALE_TRY_VOID(check_unique_name(fmt::format("{}, dispatch {}", at, d), "dispatch name",
@@ -396,8 +459,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
                                     dispatch, variant, segment.kind));
     }
   }
-  if (graphs > 1) return bad_input(where, "has {} graph segments, expected at most one", graphs);
-  if (variant.segments.empty()) return bad_input(where, "has no segment");
+  SHALE_TRY_VOID(check_programs(where, variant));
   SHALE_TRY_VOID(check_params(where, variant));
   for (size_t i = 0; i < variant.views.size(); ++i)
     SHALE_TRY_VOID(check_view(fmt::format("{}, view {}", where, i), variant.views[i], variant));
@@ -431,8 +493,13 @@ Requirements binding_requirements(const Variant& variant) {
                 std::max(needs.texel_elements,
                          resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
             break;
-          case BindingType::kSampledImage: ++texel_buffers; break;
-          case BindingType::kStorageImage: ++storage_images; break;
+          case BindingType::kSampledImage:
+          case BindingType::kSampler: ++texel_buffers; break;
+          case BindingType::kStorageImage:
+            ++storage_images;
+            if (image_format_info(resource.format).extended)
+              needs.features.add(Feature::kStorageImageExtended);
+            break;
           case BindingType::kTransfer: break;
         }
       }

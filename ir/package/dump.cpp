@@ -13,7 +13,7 @@ constexpr std::array<const char*, kCategoryCount> kCategoryNames{
     "input",       "output",       "intermediate",   "weights",
     "image input", "image output", "image internal", "image history"};
 constexpr std::array<const char*, kBindingTypeCount> kBindingTypeNames{
-    "storage buffer", "texel buffer", "sampled image", "storage image", "transfer"};
+    "storage buffer", "texel buffer", "sampled image", "storage image", "transfer", "sampler"};
 constexpr std::array<const char*, 3> kSegmentNames{"compute", "graph", "transfer"};
 
 template <typename... Args>
@@ -51,8 +51,10 @@ void dump_resource(std::string& text, size_t index, const Resource& r) {
     return;
   }
   const bool placed = r.category == Category::kIntermediate || r.category == Category::kWeights;
-  line(text, "    {:3} {:14} {}[{}] {} bytes{}{} \"{}\"", index, category, dtype_info(r.dtype).name,
-       fmt::join(r.shape, ","), r.size_bytes, placed ? fmt::format(" at {}", r.offset_bytes) : "",
+  line(text, "    {:3} {:14} {}[{}] {} bytes{}{}{} \"{}\"", index, category,
+       dtype_info(r.dtype).name, fmt::join(r.shape, ","), r.size_bytes,
+       placed ? fmt::format(" at {}", r.offset_bytes) : "",
+       r.history_depth ? fmt::format(" depth {}", r.history_depth) : "",
        r.quantization ? fmt::format(" scale {} zero point {}", r.quantization->scale,
                                     r.quantization->zero_point)
                       : "",
@@ -83,13 +85,17 @@ void dump_segment(std::string& text, const Segment& segment, const Variant& vari
 }
 
 void dump_variant(std::string& text, size_t index, const Variant& variant) {
-  line(text, "variant {}: target \"{}\", arena {} bytes", index, variant.target,
-       variant.arena_bytes);
+  line(text, "variant {}: target \"{}\" (class {}), arena {} bytes", index, variant.target,
+       device_class_name(variant.device_class), variant.arena_bytes);
   dump_requirements(text, variant.requirements);
   line(text, "  resources: {}", variant.resources.size());
   for (size_t i = 0; i < variant.resources.size(); ++i)
     dump_resource(text, i, variant.resources[i]);
-  for (const Segment& segment : variant.segments) dump_segment(text, segment, variant);
+  for (uint32_t i = 0; i < variant.programs.size(); ++i) {
+    line(text, "  program \"{}\"", variant.programs[i]);
+    for (const Segment& segment : program_segments(variant, i))
+      dump_segment(text, segment, variant);
+  }
   line(text, "  modules: {}", variant.modules.size());
   for (size_t i = 0; i < variant.modules.size(); ++i) {
     const Spirv& words = variant.modules[i];

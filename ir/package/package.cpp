@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <map>
 
 #include "ir/schema/package_generated.h"
 
@@ -18,26 +19,29 @@ static_assert(static_cast<uint32_t>(fbs::BindingType::MAX) + 1 == kBindingTypeCo
 static_assert(static_cast<uint32_t>(fbs::SegmentKind::MAX) ==
               static_cast<uint32_t>(SegmentKind::kTransfer));
 static_assert(static_cast<uint32_t>(fbs::ParamSource::MAX) + 1 == kParamSourceCount);
+static_assert(static_cast<uint32_t>(fbs::DeviceClass::MAX) + 1 == kDeviceClassCount);
 
 /// Lengths of files are multiples of this, so that no cut goes unseen in the padding at the end.
 constexpr size_t kFileAlignment = 8;
 
+// Source of the last two columns: Vulkan 1.3, "Required format support" (linear filters: table 66 and
+// on) and shaderStorageImageExtendedFormats; rg32ui and r8i by the capability of SPIR-V.
 constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
-    {ImageFormat::kNone, "none", "", 0, 0},
-    {ImageFormat::kRgba8Unorm, "rgba8_unorm", "rgba8", 4, 4},
-    {ImageFormat::kRgba16Float, "rgba16_float", "rgba16f", 8, 4},
-    {ImageFormat::kRg16Float, "rg16_float", "rg16f", 4, 2},
-    {ImageFormat::kR32Float, "r32_float", "r32f", 4, 1},
-    {ImageFormat::kR8Unorm, "r8_unorm", "r8", 1, 1},
-    {ImageFormat::kR32Uint, "r32_uint", "r32ui", 4, 1},
-    {ImageFormat::kRgba32Float, "rgba32_float", "rgba32f", 16, 4},
-    {ImageFormat::kR16Float, "r16_float", "r16f", 2, 1},
-    {ImageFormat::kRgba8Sint, "rgba8_sint", "rgba8i", 4, 4},
-    {ImageFormat::kR8Sint, "r8_sint", "r8i", 1, 1},
-    {ImageFormat::kRg8Unorm, "rg8_unorm", "rg8", 2, 2},
-    {ImageFormat::kRgba8Snorm, "rgba8_snorm", "rgba8_snorm", 4, 4},
-    {ImageFormat::kRgba32Uint, "rgba32_uint", "rgba32ui", 16, 4},
-    {ImageFormat::kRg32Uint, "rg32_uint", "rg32ui", 8, 2},
+    {ImageFormat::kNone, "none", "", 0, 0, false, false},
+    {ImageFormat::kRgba8Unorm, "rgba8_unorm", "rgba8", 4, 4, true, false},
+    {ImageFormat::kRgba16Float, "rgba16_float", "rgba16f", 8, 4, true, false},
+    {ImageFormat::kRg16Float, "rg16_float", "rg16f", 4, 2, true, true},
+    {ImageFormat::kR32Float, "r32_float", "r32f", 4, 1, false, false},
+    {ImageFormat::kR8Unorm, "r8_unorm", "r8", 1, 1, true, true},
+    {ImageFormat::kR32Uint, "r32_uint", "r32ui", 4, 1, false, false},
+    {ImageFormat::kRgba32Float, "rgba32_float", "rgba32f", 16, 4, false, false},
+    {ImageFormat::kR16Float, "r16_float", "r16f", 2, 1, true, true},
+    {ImageFormat::kRgba8Sint, "rgba8_sint", "rgba8i", 4, 4, false, false},
+    {ImageFormat::kR8Sint, "r8_sint", "r8i", 1, 1, false, true},
+    {ImageFormat::kRg8Unorm, "rg8_unorm", "rg8", 2, 2, true, true},
+    {ImageFormat::kRgba8Snorm, "rgba8_snorm", "rgba8_snorm", 4, 4, true, false},
+    {ImageFormat::kRgba32Uint, "rgba32_uint", "rgba32ui", 16, 4, false, false},
+    {ImageFormat::kRg32Uint, "rg32_uint", "rg32ui", 8, 2, false, true},
 }};
 
 // ---- Writing: plain data to tables, children first, always in the same order.
@@ -83,7 +87,8 @@ Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
 Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
   const auto name = builder.CreateString(s.name);
   const auto dispatches = write_all<fbs::Dispatch>(builder, s.dispatches, write_dispatch);
-  return fbs::CreateSegment(builder, name, static_cast<fbs::SegmentKind>(s.kind), dispatches);
+  return fbs::CreateSegment(builder, name, static_cast<fbs::SegmentKind>(s.kind), dispatches,
+                            s.program);
 }
 
 Offset<fbs::Module> write_module(Builder& builder, const Spirv& words) {
@@ -127,8 +132,10 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto proofs = write_all<fbs::RangeProof>(builder, v.proofs, write_proof);
   const auto params = write_all<fbs::Param>(builder, v.params, write_param);
   const auto views = write_all<fbs::View>(builder, v.views, write_view);
+  const auto programs = builder.CreateVectorOfStrings(v.programs);
   return fbs::CreateVariant(builder, target, requirements, v.arena_bytes, resources, segments,
-                            modules, proofs, params, views);
+                            modules, proofs, params, views, programs,
+                            static_cast<fbs::DeviceClass>(v.device_class));
 }
 
 // ---- Reading: verified tables to plain data. check_package judges the enum values later.
@@ -156,6 +163,14 @@ class Copier {
     std::vector<MatrixProduct> values;
     if (!vector || !pay(vector->size() * sizeof(fbs::MatrixProduct))) return values;
     for (const fbs::MatrixProduct* p : *vector) values.push_back({p->m(), p->n(), p->k()});
+    return values;
+  }
+
+  std::vector<std::string> texts(const Vector<Offset<flatbuffers::String>>* vector) {
+    std::vector<std::string> values;
+    // A reference, and the least that a string takes.
+    if (!vector || !pay(vector->size() * 8)) return values;
+    for (const flatbuffers::String* string : *vector) values.push_back(text(string));
     return values;
   }
 
@@ -229,6 +244,7 @@ Segment read_segment(Copier& copy, const fbs::Segment& s) {
   segment.name = copy.text(s.name());
   segment.kind = static_cast<SegmentKind>(s.kind());
   segment.dispatches = copy.tables(s.dispatches(), read_dispatch);
+  segment.program = s.program();
   return segment;
 }
 
@@ -275,11 +291,6 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
                           .storage_images = r.storage_images(),
                           .subgroup_size = r.subgroup_size(),
                           .matrix_products = copy.products(r.matrix_products())};
-  // Before 1.4 the feature meant one product.
-  if (variant.requirements.features.has(Feature::kCooperativeMatrix) && !r.matrix_products()) {
-    variant.requirements.subgroup_size = 32;
-    variant.requirements.matrix_products = {{16, 16, 32}};
-  }
   variant.arena_bytes = v.arena_bytes();
   variant.resources = copy.tables(v.resources(), read_resource);
   variant.segments = copy.tables(v.segments(), read_segment);
@@ -287,7 +298,32 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   variant.proofs = copy.tables(v.proofs(), read_proof);
   variant.params = copy.tables(v.params(), read_param);
   variant.views = copy.tables(v.views(), read_view);
+  if (v.programs()) variant.programs = copy.texts(v.programs());
+  variant.device_class = static_cast<DeviceClass>(v.device_class());
   return variant;
+}
+
+/// Fills in what files before 1.4 leave unsaid. Nothing is checked yet.
+void complete_old(Variant& variant) {
+  const std::map<std::string_view, DeviceClass> classes{{"lavapipe", DeviceClass::kCpu},
+                                                        {"dot8-gpu", DeviceClass::kDot8Gpu},
+                                                        {"coopmat-gpu", DeviceClass::kMatrixGpu}};
+  if (const auto found = classes.find(variant.target); found != classes.end())
+    variant.device_class = found->second;
+  if (variant.requirements.features.has(Feature::kCooperativeMatrix)) {
+    variant.requirements.subgroup_size = 32;
+    variant.requirements.matrix_products = {{16, 16, 32}};
+  }
+  for (const Segment& segment : variant.segments)
+    for (const Dispatch& dispatch : segment.dispatches)
+      for (const Binding& binding : dispatch.bindings) {
+        if (binding.type != BindingType::kStorageImage ||
+            binding.resource >= variant.resources.size())
+          continue;
+        const ImageFormat format = variant.resources[binding.resource].format;
+        if (static_cast<uint32_t>(format) < kImageFormatCount && image_format_info(format).extended)
+          variant.requirements.features.add(Feature::kStorageImageExtended);
+      }
 }
 
 Result<Package> read_aligned(std::span<const uint8_t> bytes) {
@@ -321,6 +357,7 @@ Result<Package> read_aligned(std::span<const uint8_t> bytes) {
   package.weights = copy.scalars(root.weights());
   package.variants = copy.tables(root.variants(), read_variant);
   if (copy.overdrawn()) return bad_input("", "the package is damaged: parts of it overlap");
+  if (version.minor_version() < 4) std::ranges::for_each(package.variants, complete_old);
   SHALE_TRY_VOID(check_package(package));
   return package;
 }
@@ -341,6 +378,11 @@ uint32_t linear_pitch(ImageFormat format, uint32_t width) {
   const uint32_t bytes = image_format_info(format).texel_bytes;
   return (width * bytes + kLinearRowAlignment - 1) / kLinearRowAlignment * kLinearRowAlignment /
          bytes;
+}
+
+std::span<const Segment> program_segments(const Variant& variant, uint32_t program) {
+  const auto range = std::ranges::equal_range(variant.segments, program, {}, &Segment::program);
+  return {range.begin(), range.end()};
 }
 
 uint32_t param_bytes(const Variant& variant) {

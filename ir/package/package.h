@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 3;
+inline constexpr uint32_t kPackageMinor = 4;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -34,6 +34,7 @@ inline constexpr uint64_t kMaxTensorBytes = uint64_t{1} << 40;
 inline constexpr uint32_t kMaxImageExtent = 16384;
 inline constexpr uint32_t kMaxHistoryDepth = 16;
 inline constexpr uint32_t kMaxBindings = 64;     ///< binding numbers of a dispatch are below this
+inline constexpr uint32_t kMaxSamplers = 16;     ///< of a dispatch; what every Vulkan device has
 inline constexpr uint32_t kMaxParamBytes = 128;  ///< push constants that every Vulkan device has
 
 /// How a resource comes into being and who owns its memory.
@@ -78,6 +79,8 @@ struct ImageFormatInfo {
   const char* glsl;
   uint32_t texel_bytes;
   uint32_t channels;
+  bool filtered;  ///< every Vulkan device samples it with linear filters; see kSampler
+  bool extended;  ///< as a storage image it needs Feature::kStorageImageExtended
 };
 const ImageFormatInfo& image_format_info(ImageFormat format);
 std::optional<ImageFormat> image_format_from_name(std::string_view name);
@@ -101,7 +104,9 @@ struct Resource {
   // Images:
   ImageFormat format = ImageFormat::kNone;
   uint32_t width = 0, height = 0;
-  uint32_t history_depth = 0;  ///< kImageHistory: number of images in the ring, at least 2
+  /// kImageHistory: number of images in the ring, at least 2. kInput, kOutput: the same of tensors,
+  /// or 0 for a single one.
+  uint32_t history_depth = 0;
   bool operator==(const Resource&) const = default;
 };
 
@@ -132,8 +137,17 @@ enum class BindingType : uint8_t {
   kSampledImage = 2,        ///< read by texelFetch, no sampler
   kStorageImage = 3,
   kTransfer = 4,  ///< no descriptor: what a transfer reads or writes
+  /// An image with a sampler (VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER) of linear filters that
+  /// clamps to the edge, in normalized coordinates, made by the runtime; only for formats that are
+  /// `filtered`.
+  kSampler = 5,
 };
-inline constexpr uint32_t kBindingTypeCount = 5;
+inline constexpr uint32_t kBindingTypeCount = 6;
+
+/// True for what reads an image by VK_IMAGE_USAGE_SAMPLED_BIT.
+inline constexpr bool is_sampled(BindingType type) {
+  return type == BindingType::kSampledImage || type == BindingType::kSampler;
+}
 
 /// One descriptor of set 0, or an end of a transfer: the whole of a resource.
 struct Binding {
@@ -143,7 +157,7 @@ struct Binding {
   ImageFormat view_format = ImageFormat::kNone;
   bool reads = false;
   bool writes = false;
-  uint32_t frames_back = 0;  ///< kImageHistory: 0 is this frame's image, 1 the previous one's
+  uint32_t frames_back = 0;  ///< of histories: see Resource and Segment
   bool operator==(const Binding&) const = default;
 };
 
@@ -205,11 +219,12 @@ enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1, kTransfer = 2 };
 inline constexpr std::string_view kCopyKernel = "copy", kClearKernel = "clear";
 
 /// Dispatches in order. A pre or post pass is a kCompute or kTransfer segment around the kGraph
-/// segment; a variant without a kGraph segment is a sandwich without a network.
+/// segments; a program without a kGraph segment is a sandwich without a network.
 struct Segment {
   std::string name;
   SegmentKind kind = SegmentKind::kGraph;
   std::vector<Dispatch> dispatches;
+  uint32_t program = 0;  ///< index into Variant::programs
   bool operator==(const Segment&) const = default;
 };
 
@@ -224,6 +239,15 @@ struct RangeProof {
 /// A module's words; entry point "main", local size fixed in the words.
 using Spirv = std::vector<uint32_t>;
 
+/// The programs of a variant are what a host records, one at a time and each as often as it likes;
+/// their segments lie together, in the order of the programs. They share weights, arena, tensors,
+/// images and parameters. What they hand on lies in histories and in tensors that the caller may
+/// bind; the arena and internal images mean nothing between records.
+///
+/// A history, of images or tensors, moves on by one slot after each record of a program that writes
+/// it. A binding of it with `frames_back` k means, in a program that writes it, the slot that is
+/// being written (k = 0) or was written k records ago; in a program that only reads it, the newest
+/// slot written (k = 0) or the k-th before that. Slots start out as zeros.
 struct Variant {
   std::string target;  ///< name of the DeviceProfile it was made for
   Requirements requirements;
@@ -234,9 +258,13 @@ struct Variant {
   std::vector<RangeProof> proofs;
   std::vector<Param> params;
   std::vector<View> views;
+  std::vector<std::string> programs{"frame"};  ///< unique identifiers, at least one
   DeviceClass device_class = DeviceClass::kAny;
   bool operator==(const Variant&) const = default;
 };
+
+/// The segments of a program, in order. The variant must pass check_package.
+std::span<const Segment> program_segments(const Variant& variant, uint32_t program);
 
 /// How a package came about; no paths, no times.
 struct Provenance {
@@ -255,15 +283,17 @@ struct Package {
 };
 
 /// The part of a variant's requirements that follows from its bindings: storage_range_bytes,
-/// texel_elements, storage_buffers, texel_buffers, storage_images; the others keep their defaults.
-/// The variant's indices must be sound (check_package).
+/// texel_elements, storage_buffers, texel_buffers, storage_images and of the features
+/// kStorageImageExtended; the others keep their defaults. Of maxPerStageResources every device has
+/// more than kMaxBindings. The variant's indices must be sound (check_package).
 Requirements binding_requirements(const Variant& variant);
 
 /// Everything that the runtime relies on, on plain data: enum values, indices, ranges inside the
 /// arena and the weight blob, sizes that follow from shapes, alignments, unique names without
-/// control characters, binding rules, SPIR-V magic and length, grids in 1..kMaxWorkgroups, history
-/// rules, parameters inside their block, at most one graph segment per variant, requirements that cover the bindings. The body of the
-/// SPIR-V is not judged: a driver gets it as it gets any application's shader.
+/// control characters, programs that are identifiers with segments each, binding rules, SPIR-V
+/// magic and length, grids in 1..kMaxWorkgroups, history rules, parameters inside their block,
+/// requirements that cover the bindings. The body of the SPIR-V is not judged: a driver gets it as
+/// it gets any application's shader.
 /// Errors: kBadInput, naming what and where ('variant 0, dispatch "conv1", binding 2: ...').
 Result<void> check_package(const Package& package);
 
@@ -275,7 +305,10 @@ uint32_t param_bytes(const Variant& variant);
 std::vector<uint8_t> write_package(const Package& package);
 
 /// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum
-/// values, then check_package. Memory and time are bounded by the length of the file.
+/// values, then check_package. Memory and time are bounded by the length of the file. What files
+/// before 1.4 do not say is filled in: the device class from the target's name, the program "frame",
+/// matrices of 16x16x32 in subgroups of 32 for Feature::kCooperativeMatrix,
+/// Feature::kStorageImageExtended where storage images need it.
 /// Errors: kBadInput (or kUnsupported for a newer major version), naming what and where.
 Result<Package> read_package(std::span<const uint8_t> bytes);
 

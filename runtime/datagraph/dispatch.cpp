@@ -19,6 +19,7 @@ VkDescriptorType descriptor_type(BindingType type) {
     case BindingType::kUniformTexelBuffer: return VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER;
     case BindingType::kSampledImage: return VK_DESCRIPTOR_TYPE_SAMPLED_IMAGE;
     case BindingType::kStorageImage: return VK_DESCRIPTOR_TYPE_STORAGE_IMAGE;
+    case BindingType::kSampler: return VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER;
     case BindingType::kTransfer: break;
   }
   return VK_DESCRIPTOR_TYPE_MAX_ENUM;
@@ -39,10 +40,23 @@ LayoutKey layout_key(const Dispatch& dispatch, uint32_t push_bytes) {
   return key;
 }
 
-Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& key) {
+/// As BindingType::kSampler says.
+Result<vk::SamplerHandle> create_sampler(VkDevice device) {
+  auto info = vk::init<VkSamplerCreateInfo>(VK_STRUCTURE_TYPE_SAMPLER_CREATE_INFO);
+  info.magFilter = VK_FILTER_LINEAR;
+  info.minFilter = VK_FILTER_LINEAR;
+  info.mipmapMode = VK_SAMPLER_MIPMAP_MODE_NEAREST;
+  info.addressModeU = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
+  info.addressModeV = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
+  info.addressModeW = VK_SAMPLER_ADDRESS_MODE_CLAMP_TO_EDGE;
+  return vk::make<vk::SamplerHandle>(vkCreateSampler, "vkCreateSampler", device, info);
+}
+
+Result<vk::SetLayoutHandle> create_set_layout(VkDevice device, const LayoutKey& key,
+                                              VkSampler sampler) {
   std::vector<VkDescriptorSetLayoutBinding> bindings;
-  for (const auto& [number, type] : key.types)
-    bindings.push_back({number, type, 1, VK_SHADER_STAGE_COMPUTE_BIT, nullptr});
+  for (const auto& [number, type] : key.types)  // the sampler counts for those that have one
+    bindings.push_back({number, type, 1, VK_SHADER_STAGE_COMPUTE_BIT, &sampler});
   auto info = vk::init<VkDescriptorSetLayoutCreateInfo>(
       VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
   info.bindingCount = static_cast<uint32_t>(bindings.size());
@@ -102,6 +116,7 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
   SHALE_TRY_VOID(check_package(package));
   SHALE_TRY(const uint32_t index, choose_variant(package, context.caps));
   const Variant& variant = package.variants[index];
+  if (variant.programs.size() > 1) return unsupported("", "several programs");
   std::unique_ptr<Kernels> result(new Kernels);
   result->context_ = context;
   result->variant_ = variant;
@@ -140,6 +155,14 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
   std::map<std::pair<uint32_t, size_t>, size_t> pipeline_index;
   std::vector<Unique> wanted;
   std::vector<std::optional<size_t>> pipeline_of_step;
+  const auto has_sampler = [](const Wanted& each) {
+    return std::ranges::any_of(each.dispatch->bindings, [](const Binding& binding) {
+      return binding.type == BindingType::kSampler;
+    });
+  };
+  if (std::ranges::any_of(dispatches, has_sampler)) {
+    SHALE_TRY(sampler_, create_sampler(context_.device));
+  }
   for (const auto& [dispatch, push_bytes, is_transfer] : dispatches) {
     if (is_transfer) {
       pipeline_of_step.emplace_back();
@@ -150,7 +173,7 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
     const auto [layout, new_layout] =
         layout_index.try_emplace(layout_key(*dispatch, push_bytes), layouts_.size());
     if (new_layout) {
-      SHALE_TRY(set_layouts_.emplace_back(), create_set_layout(context_.device, layout->first));
+      SHALE_TRY(set_layouts_.emplace_back(), create_set_layout(context_.device, layout->first, sampler_.get()));
       SHALE_TRY(layouts_.emplace_back(),
                 create_layout(context_.device, set_layouts_.back().get(), push_bytes));
     }

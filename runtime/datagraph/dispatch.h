@@ -75,6 +75,7 @@ class Kernels {
   vk::Context context_;
   Variant variant_;
   vk::Buffer weights_;
+  vk::SamplerHandle sampler_;  // empty if no dispatch has one
   std::vector<vk::SetLayoutHandle> set_layouts_;
   std::vector<vk::PipelineLayoutHandle> layouts_;
   std::vector<vk::PipelineHandle> pipelines_;

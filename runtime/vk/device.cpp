@@ -44,6 +44,8 @@ constexpr FeatureMember kFeatureMembers[] = {
     {Feature::kFloat16, [](Features& f) -> VkBool32& { return f.v12.shaderFloat16; }},
     {Feature::kDotProduct8, [](Features& f) -> VkBool32& { return f.v13.shaderIntegerDotProduct; }},
     {Feature::kFloat64, [](Features& f) -> VkBool32& { return f.v10.features.shaderFloat64; }},
+    {Feature::kStorageImageExtended,
+     [](Features& f) -> VkBool32& { return f.v10.features.shaderStorageImageExtendedFormats; }},
 };
 
 std::vector<VkQueueFamilyProperties> queue_families(VkPhysicalDevice device) {
@@ -131,13 +133,9 @@ Result<Device> Device::create(VkPhysicalDevice physical_device, VkInstance insta
   const std::optional<uint32_t> family = choose_queue_family(queue_families(physical_device));
   if (!family) return device_error(caps.name, "has no queue that computes");
 
-  Features supported;
-  vkGetPhysicalDeviceFeatures2(physical_device, &supported.v10);
   Features enabled;
   for (const FeatureMember& row : kFeatureMembers)
     if (caps.features.has(row.feature)) row.member(enabled) = VK_TRUE;
-  enabled.v10.features.shaderStorageImageExtendedFormats =
-      supported.v10.features.shaderStorageImageExtendedFormats;
 
   const float priority = 1.0f;
   auto queue_info = init<VkDeviceQueueCreateInfo>(VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO);

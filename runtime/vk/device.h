@@ -38,8 +38,7 @@ struct Context {
 
 /// Describes a host's device. `queue_family` must compute. `caps` tells what may be used: what
 /// snapshot_caps found, less the features that the host did not enable on `device`. A variant that
-/// needs more is not chosen. Storage images of other than the basic formats need
-/// shaderStorageImageExtendedFormats.
+/// needs more is not chosen.
 /// Errors: kDevice if the device is below Vulkan 1.3 or the family cannot compute.
 Result<Context> wrap_device(VkPhysicalDevice physical_device, VkDevice device,
                             uint32_t queue_family, VkQueue queue, DeviceCaps caps);

@@ -56,6 +56,7 @@ using PipelineCacheHandle = Handle<VkPipelineCache, vkDestroyPipelineCache>;
 using PipelineHandle = Handle<VkPipeline, vkDestroyPipeline>;
 using PipelineLayoutHandle = Handle<VkPipelineLayout, vkDestroyPipelineLayout>;
 using QueryPoolHandle = Handle<VkQueryPool, vkDestroyQueryPool>;
+using SamplerHandle = Handle<VkSampler, vkDestroySampler>;
 using SetLayoutHandle = Handle<VkDescriptorSetLayout, vkDestroyDescriptorSetLayout>;
 using ShaderModuleHandle = Handle<VkShaderModule, vkDestroyShaderModule>;
 

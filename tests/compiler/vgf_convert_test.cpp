@@ -405,7 +405,7 @@ TEST(VgfConvert, WhatVgfCannotSayOfAPackageIsRefused) {
   package.variants[0].resources[6].history_depth = 2;
   ASSERT_TRUE(check_package(package)) << check_package(package).error().text();
   EXPECT_EQ(error_text(package_to_vgf(package, {.weights_as_inputs = true})),
-            "resource \"blend\": is an image of earlier frames, VGF has one frame only");
+            "resource \"blend\": is a history of earlier frames, VGF has one frame only");
   package = small_package();
   package.variants[0].params = {{"reset", true, 1, 0, ParamSource::kReset, {0}}};
   ASSERT_TRUE(check_package(package));

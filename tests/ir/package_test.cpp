@@ -6,6 +6,7 @@
 #include <functional>
 #include <random>
 
+#include "ir/base/file.h"
 #include "ir/schema/package_generated.h"
 
 namespace shale {
@@ -37,9 +38,10 @@ Resource image(std::string name, Category category, ImageFormat format, uint32_t
   return r;
 }
 
-/// A pass that feeds a graph of two dispatches; every kind of resource and binding occurs.
+/// A pass that feeds a graph of two dispatches, and a program that shows what they left; every kind
+/// of resource and of binding to shaders occurs.
 Package sample_package() {
-  enum : uint32_t { kX, kMid, kWeight, kY, kColor, kHistory, kShown, kScratch };
+  enum : uint32_t { kX, kMid, kWeight, kY, kColor, kHistory, kShown, kScratch, kPast };
   Variant v;
   v.target = "any";
   v.arena_bytes = 1024;
@@ -50,7 +52,9 @@ Package sample_package() {
                  image("color", Category::kImageInput, ImageFormat::kRgba16Float, 0),
                  image("history", Category::kImageHistory, ImageFormat::kRgba8Unorm, 3),
                  image("shown", Category::kImageOutput, ImageFormat::kRgba8Unorm, 0),
-                 image("scratch", Category::kImageInternal, ImageFormat::kR32Uint, 0)};
+                 image("scratch", Category::kImageInternal, ImageFormat::kR32Uint, 0),
+                 tensor("past", Category::kOutput, DType::kInt8, {2, 3}, 0)};
+  v.resources[kPast].history_depth = 2;
   v.resources[kX].quantization = Quantization{0.5f, -3};
   const auto storage = BindingType::kStorageBuffer;
   const auto texel = BindingType::kUniformTexelBuffer;
@@ -64,6 +68,7 @@ Package sample_package() {
                       {{0, sampled, kColor, none, true, false, 0},
                        {1, sampled, kHistory, none, true, false, 2},
                        {2, stored, kScratch, none, false, true, 0},
+                       {4, BindingType::kSampler, kColor, none, true, false, 0},
                        {9, storage, kX, none, false, true, 0}},
                       {}};
   const Dispatch conv1{"conv1",
@@ -79,6 +84,7 @@ Package sample_package() {
                        1,
                        {4, 1, 1},
                        {{0, texel, kMid, ImageFormat::kR8Sint, true, false, 0},
+                        {5, storage, kPast, none, false, true, 0},
                         {63, storage, kY, none, true, true, 0}},
                        {}};
   const Dispatch show{"show",
@@ -89,9 +95,19 @@ Package sample_package() {
                        {1, stored, kHistory, none, false, true, 0},
                        {2, stored, kShown, none, false, true, 0}},
                       {}};
+  const Dispatch conv3{"conv3",
+                       "conv2d_s8_f32exact",
+                       1,
+                       {4, 1, 1},
+                       {{0, storage, kPast, none, true, false, 1},
+                        {1, storage, kY, none, false, true, 0}},
+                       {}};
   v.segments = {{"pre", SegmentKind::kCompute, {pack}},
                 {"network", SegmentKind::kGraph, {conv1, conv2}},
-                {"post", SegmentKind::kCompute, {show}}};
+                {"post", SegmentKind::kCompute, {show}},
+                {"network_again", SegmentKind::kGraph, {conv3}, 1}};
+  v.programs = {"frame", "again"};
+  v.device_class = DeviceClass::kDot8Gpu;
   v.modules = {{0x07230203, 0x10000, 0, 9, 0}, {0x07230203, 0x10000, 0, 9, 0, 7}};
   v.proofs = {{"conv1", {-5, -6}, {5, 6}, {10, 12}}};
   v.params = {{"jitter", false, 2, 8, ParamSource::kHost, {0.25f, -0.5f}},
@@ -124,15 +140,15 @@ Package linear_package() {
       "copy",
       0,
       {1, 1, 1},
-      {{0, transfer, 4, none, true, false, 0}, {1, transfer, 8, none, false, true, 0}},
+      {{0, transfer, 4, none, true, false, 0}, {1, transfer, 9, none, false, true, 0}},
       {}};
-  const Dispatch empty{"empty", "clear", 0, {1, 1, 1}, {{0, transfer, 9, none, false, true, 0}},
+  const Dispatch empty{"empty", "clear", 0, {1, 1, 1}, {{0, transfer, 10, none, false, true, 0}},
                        {}};
   v.segments.insert(v.segments.begin(), {"transfers", SegmentKind::kTransfer, {take, empty}});
   v.segments[1].dispatches[0].bindings.push_back(
-      {3, BindingType::kUniformTexelBuffer, 8, ImageFormat::kRgba32Uint, true, false, 0});
+      {3, BindingType::kUniformTexelBuffer, 9, ImageFormat::kRgba32Uint, true, false, 0});
   v.segments[1].dispatches[0].bindings.push_back(
-      {4, BindingType::kStorageBuffer, 9, none, false, true, 0});
+      {5, BindingType::kStorageBuffer, 10, none, false, true, 0});
   v.requirements = binding_requirements(v);
   return p;
 }
@@ -222,9 +238,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.3 is newer than 1.3, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.4 is newer than 1.4, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.3 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.4 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -264,6 +280,79 @@ TEST(Package, RefusesPartsThatOverlap) {
                          fbs::CreateProvenance(builder, 0, text, text, text), variants, weights));
   EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
             "the package is damaged: parts of it overlap");
+}
+
+/// Sets the minor version of a written package.
+void set_minor(std::vector<uint8_t>& bytes, uint32_t minor) {
+  auto* root = flatbuffers::GetMutableRoot<flatbuffers::Table>(bytes.data());
+  ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MINOR_VERSION, minor, 0));
+}
+
+struct OldFile {
+  const char* version;
+  const char* target;
+  DeviceClass device_class;
+};
+
+/// Small frames as the writers of those versions wrote them; frame_loop_test runs them.
+TEST(OldPackages, AreReadAndCompleted) {
+  for (const OldFile& file : {OldFile{"1.0", "lavapipe", DeviceClass::kCpu},
+                              OldFile{"1.1", "dot8-gpu", DeviceClass::kDot8Gpu},
+                              OldFile{"1.2", "coopmat-gpu", DeviceClass::kMatrixGpu},
+                              OldFile{"1.3", "any", DeviceClass::kAny}}) {
+    const auto bytes =
+        read_file(fmt::format("{}/tests/ir/packages/{}.shale", SHALE_SOURCE_DIR, file.version));
+    ASSERT_TRUE(bytes) << bytes.error().text();
+    const auto version = flatbuffers::GetRoot<fbs::Version>(bytes->data());
+    EXPECT_EQ(fmt::format("{}.{}", version->major_version(), version->minor_version()),
+              file.version);
+    const Result<Package> package = read_package(*bytes);
+    ASSERT_TRUE(package) << file.version << ": " << package.error().text();
+    const Variant& v = package->variants.at(0);
+    EXPECT_EQ(v.target, file.target);
+    EXPECT_EQ(v.device_class, file.device_class);
+    EXPECT_EQ(v.programs, std::vector<std::string>{"frame"});
+    EXPECT_EQ(program_segments(v, 0).size(), 3u);
+    EXPECT_EQ(v.resources.at(5).name, "history");
+    const Result<Package> again = read_package(write_package(*package));
+    ASSERT_TRUE(again);
+    EXPECT_EQ(*again, *package);
+  }
+}
+
+TEST(OldPackages, NeedTheFormatsThatTheyStore) {
+  Package package = sample_package();
+  Variant& v = package.variants[0];
+  v.resources[6].format = ImageFormat::kR8Unorm;  // "shown"
+  std::vector<uint8_t> bytes = write_package(package);
+  EXPECT_EQ(refusal(bytes),
+            "variant 0: the requirements lack shaderStorageImageExtendedFormats, which the bindings "
+            "need");
+  set_minor(bytes, 3);
+  const Result<Package> old = read_package(bytes);
+  ASSERT_TRUE(old) << old.error().text();
+  v.requirements.features.add(Feature::kStorageImageExtended);
+  EXPECT_EQ(old->variants[0].requirements, v.requirements);
+}
+
+TEST(OldPackages, HadMatricesOfOneShape) {
+  Package package = sample_package();
+  Requirements& needs = package.variants[0].requirements;
+  needs.features.add(Feature::kCooperativeMatrix);
+  needs.subgroup_size = 64;
+  needs.matrix_products = {{8, 8, 32}, {16, 16, 16}};
+  std::vector<uint8_t> bytes = write_package(package);
+  const Result<Package> same = read_package(bytes);
+  ASSERT_TRUE(same) << same.error().text();
+  EXPECT_EQ(same->variants[0].requirements, needs);
+  EXPECT_NE(dump_package(*same).find("matrices of 16x16x16 int8 in subgroups of 64"),
+            std::string::npos);
+  set_minor(bytes, 3);
+  const Result<Package> old = read_package(bytes);
+  ASSERT_TRUE(old) << old.error().text();
+  needs.subgroup_size = 32;
+  needs.matrix_products = {{16, 16, 32}};
+  EXPECT_EQ(old->variants[0].requirements, needs);
 }
 
 struct BadPackage {
@@ -343,6 +432,10 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"x\": scale nan is not a positive number"},
     {"TensorWithExtent", [](Package& p) { resource(p, 0).width = 1; },
      "variant 0, resource \"x\": a tensor has image fields"},
+    {"IntermediateHistory", [](Package& p) { resource(p, 1).history_depth = 2; },
+     "variant 0, resource \"mid\": only inputs and outputs can be histories"},
+    {"TensorHistoryOfOne", [](Package& p) { resource(p, 8).history_depth = 1; },
+     "variant 0, resource \"past\": history depth 1 is outside 2..16"},
     {"ArenaOffsetUnaligned", [](Package& p) { resource(p, 1).offset_bytes = 128; },
      "variant 0, resource \"mid\": offset 128 is no multiple of 256"},
     {"ArenaRange", [](Package& p) { resource(p, 1).offset_bytes = 768; },
@@ -395,20 +488,39 @@ const BadPackage kBadPackages[] = {
     {"ParamDefaultKind", [](Package& p) { variant(p).params[1].default_values = {0.5f}; },
      "variant 0, parameter \"reset\": the default value 0.5 is no exact integer"},
     {"ViewResource", [](Package& p) { variant(p).views[0].resource = 99; },
-     "variant 0, view 0: resource 99 does not exist, there are 8"},
+     "variant 0, view 0: resource 99 does not exist, there are 9"},
     {"ViewOfWeights", [](Package& p) { variant(p).views[0].resource = 2; },
      "variant 0, view 0: \"w\" cannot be viewed"},
     {"ViewChannels", [](Package& p) { variant(p).views[0].first_channel = 2; },
      "variant 0, view 0: 3 channels from 2 on are not in the 4 of \"x\""},
     {"ViewRange", [](Package& p) { variant(p).views[1].high = 1; },
      "variant 0, view 1: 1..1 is no range"},
-    {"NoSegment", [](Package& p) { variant(p).segments.clear(); }, "variant 0: has no segment"},
-    {"TwoGraphs",
+    {"NoSegment", [](Package& p) { variant(p).segments.clear(); },
+     "variant 0: program \"frame\" has no segment"},
+    {"DeviceClassNumber", [](Package& p) { variant(p).device_class = number<DeviceClass>(4); },
+     "variant 0: device class 4 does not exist"},
+    {"NoProgram", [](Package& p) { variant(p).programs.clear(); }, "variant 0: has no program"},
+    {"ProgramNameTwice", [](Package& p) { variant(p).programs[1] = "frame"; },
+     "variant 0, program 1: the program name \"frame\" is taken already"},
+    {"ProgramNoIdentifier", [](Package& p) { variant(p).programs[1] = "2nd"; },
+     "variant 0, program 1: \"2nd\" is no identifier"},
+    {"ProgramIndex", [](Package& p) { variant(p).segments[3].program = 2; },
+     "variant 0, segment 3: program 2 does not exist, there are 2"},
+    {"ProgramsMixed", [](Package& p) { variant(p).segments[1].program = 1; },
+     "variant 0, segment 2: program 0 does not follow program 1"},
+    {"ProgramSkipped",
      [](Package& p) {
-       variant(p).segments[0].kind = SegmentKind::kGraph;
-       variant(p).segments[0].dispatches.clear();
+       variant(p).programs.push_back("third");
+       variant(p).segments[3].program = 2;
      },
-     "variant 0: has 2 graph segments, expected at most one"},
+     "variant 0, segment 3: program 2 does not follow program 0"},
+    {"FirstProgramWithoutSegment",
+     [](Package& p) {
+       for (Segment& segment : variant(p).segments) segment.program = 1;
+     },
+     "variant 0, segment 0: program 1 does not follow program 0"},
+    {"LastProgramWithoutSegment", [](Package& p) { variant(p).programs.push_back("third"); },
+     "variant 0: program \"third\" has no segment"},
     {"DispatchNameTwice", [](Package& p) { dispatch(p, 1, 1).name = "conv1"; },
      "variant 0, segment 1, dispatch 1: the dispatch name \"conv1\" is taken already"},
     {"NoKernelName", [](Package& p) { dispatch(p, 1, 1).kernel.clear(); },
@@ -426,13 +538,13 @@ const BadPackage kBadPackages[] = {
     {"BindingTwice", [](Package& p) { dispatch(p, 1, 0).bindings[1].binding = 0; },
      "variant 0, dispatch \"conv1\", binding 0: the binding number is taken already"},
     {"BindingTypeNumber",
-     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = number<BindingType>(5); },
-     "variant 0, dispatch \"conv1\", binding 1: binding type 5 does not exist"},
+     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = number<BindingType>(6); },
+     "variant 0, dispatch \"conv1\", binding 1: binding type 6 does not exist"},
     {"ViewFormatNumber",
      [](Package& p) { dispatch(p, 1, 0).bindings[0].view_format = number<ImageFormat>(99); },
      "variant 0, dispatch \"conv1\", binding 0: view format 99 does not exist"},
-    {"ResourceIndex", [](Package& p) { dispatch(p, 1, 0).bindings[1].resource = 8; },
-     "variant 0, dispatch \"conv1\", binding 1: resource 8 does not exist, there are 8"},
+    {"ResourceIndex", [](Package& p) { dispatch(p, 1, 0).bindings[1].resource = 9; },
+     "variant 0, dispatch \"conv1\", binding 1: resource 9 does not exist, there are 9"},
     {"UnusedBinding", [](Package& p) { dispatch(p, 1, 0).bindings[1].reads = false; },
      "variant 0, dispatch \"conv1\", binding 1: neither reads nor writes"},
     {"ImageDescriptorOfTensor",
@@ -443,7 +555,27 @@ const BadPackage kBadPackages[] = {
     {"WrittenInput", [](Package& p) { dispatch(p, 1, 0).bindings[2].resource = 0; },
      "variant 0, dispatch \"conv1\", binding 2: the graph segment writes its input \"x\""},
     {"TensorOfThePast", [](Package& p) { dispatch(p, 1, 0).bindings[1].frames_back = 1; },
-     "variant 0, dispatch \"conv1\", binding 1: frames_back is 1 on a tensor"},
+     "variant 0, dispatch \"conv1\", binding 1: frames_back is 1, \"w\" holds 1 frame(s)"},
+    {"TensorTooFarBack", [](Package& p) { dispatch(p, 3, 0).bindings[0].frames_back = 2; },
+     "variant 0, dispatch \"conv3\", binding 0: frames_back is 2, \"past\" holds 2 frame(s)"},
+    {"RewrittenPastTensor", [](Package& p) { dispatch(p, 3, 0).bindings[0].writes = true; },
+     "variant 0, dispatch \"conv3\", binding 0: an earlier frame's \"past\" is written"},
+    {"SamplerOfTensor",
+     [](Package& p) { dispatch(p, 1, 0).bindings[1].type = BindingType::kSampler; },
+     "variant 0, dispatch \"conv1\", binding 1: an image descriptor leads to the tensor \"w\""},
+    {"WrittenSampler", [](Package& p) { dispatch(p, 0, 0).bindings[3].writes = true; },
+     "variant 0, dispatch \"pack\", binding 4: a sampled image is written"},
+    {"SamplerOfUnfilteredFormat",
+     [](Package& p) { resource(p, 4).format = ImageFormat::kRgba32Float; },
+     "variant 0, dispatch \"pack\", binding 4: not every device filters the format rgba32_float of "
+     "\"color\""},
+    {"TooManySamplers",
+     [](Package& p) {
+       for (uint32_t i = 20; i < 36; ++i)
+         dispatch(p, 0, 0).bindings.push_back(
+             {i, BindingType::kSampler, 4, ImageFormat::kNone, true, false, 0});
+     },
+     "variant 0, dispatch \"pack\": has 17 samplers, more than 16"},
     {"StorageBufferWithFormat",
      [](Package& p) { dispatch(p, 1, 0).bindings[1].view_format = ImageFormat::kR8Sint; },
      "variant 0, dispatch \"conv1\", binding 1: a storage buffer has a view format"},
@@ -486,14 +618,26 @@ const BadPackage kBadPackages[] = {
      "variant 0, proof 0: 2 minima, 1 maxima and 2 magnitudes, expected as many of each"},
     {"ProofOrder", [](Package& p) { variant(p).proofs[0].max[1] = -7; },
      "variant 0, proof 0: channel 1 has the range -6..-7 and the magnitude 12"},
-    {"UnknownFeature", [](Package& p) { variant(p).requirements.features.bits |= 0x600; },
-     "variant 0: feature bits 0x600 do not exist"},
+    {"UnknownFeature", [](Package& p) { variant(p).requirements.features.bits |= 0xc00; },
+     "variant 0: feature bits 0xc00 do not exist"},
     {"UnderstatedRange", [](Package& p) { variant(p).requirements.storage_range_bytes = 100; },
      "variant 0: storage_range_bytes is 100, the bindings need 512"},
     {"UnderstatedTexels", [](Package& p) { variant(p).requirements.texel_elements = 511; },
      "variant 0: texel_elements is 511, the bindings need 512"},
     {"UnderstatedImages", [](Package& p) { variant(p).requirements.storage_images = 1; },
      "variant 0: storage_images is 1, the bindings need 2"},
+    {"MatricesWithoutFeature",
+     [](Package& p) { variant(p).requirements.matrix_products = {{16, 16, 32}}; },
+     "variant 0: requirements name 1 products of matrices, and do not need cooperativeMatrix"},
+    {"FeatureWithoutMatrices",
+     [](Package& p) { variant(p).requirements.features.add(Feature::kCooperativeMatrix); },
+     "variant 0: requirements name 0 products of matrices, and need cooperativeMatrix"},
+    {"MatricesOutOfOrder",
+     [](Package& p) {
+       variant(p).requirements.features.add(Feature::kCooperativeMatrix);
+       variant(p).requirements.matrix_products = {{16, 16, 32}, {16, 16, 32}};
+     },
+     "variant 0: requirements name products of matrices out of order"},
 };
 
 INSTANTIATE_TEST_SUITE_P(Package, EveryBadPackage, testing::ValuesIn(kBadPackages),
@@ -505,7 +649,7 @@ TEST(Package, RequirementsFollowFromBindings) {
                                  .storage_range_bytes = 512,
                                  .texel_elements = 512,
                                  .storage_buffers = 2,
-                                 .texel_buffers = 2,
+                                 .texel_buffers = 3,
                                  .storage_images = 2}));
 }
 
@@ -517,12 +661,16 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.3\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.4\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
-           "variant 0: target \"any\", arena 1024 bytes\n  needs: shaderInt8\n",
+           "variant 0: target \"any\" (class dot8-gpu), arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",
            "      1 intermediate   i8[1,8,16,4] 512 bytes at 512 \"mid\"\n",
            "      5 image history  rgba8_unorm 16x8 depth 3 \"history\"\n",
+           "      8 output         i8[2,3] 6 bytes depth 2 \"past\"\n",
+           "  program \"frame\"\n  segment \"pre\" (compute): 1 dispatches\n",
+           "  program \"again\"\n  segment \"network_again\" (graph): 1 dispatches\n",
+           "       4 sampler reads \"color\"\n",
            "  segment \"network\" (graph): 2 dispatches\n",
            "    \"conv1\": conv2d_s8_f32exact module 1 grid 4x1x1\n",
            "      predicted 5.5 us: 1000 macs, 20 other ops, 300 bytes read, 40 written\n",
@@ -582,11 +730,11 @@ TEST(LinearImages, AndTransfersFollowRules) {
     const char* message;
   };
   const Row rows[] = {
-      {[](Variant& v) { v.resources[8].size_bytes = 1023; },
+      {[](Variant& v) { v.resources[9].size_bytes = 1023; },
        "resource \"raw\": size is 1023 bytes, the extent makes 1024"},
       {[](Variant& v) { v.resources[4].size_bytes = 1024; },
        "resource \"color\": an image of the host has a size of 1024 bytes"},
-      {[](Variant& v) { v.resources[8].size_bytes = 0; },
+      {[](Variant& v) { v.resources[9].size_bytes = 0; },
        "dispatch \"take\": copies \"color\" to \"raw\", of which one must be linear"},
       {[](Variant& v) { v.segments[0].dispatches[0].kernel = "move"; },
        "dispatch \"take\": \"move\" is no transfer"},
@@ -600,7 +748,7 @@ TEST(LinearImages, AndTransfersFollowRules) {
        "dispatch \"take\": the ends of a transfer are out of order"},
       {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].reads = true; },
        "dispatch \"take\": the ends of a transfer are out of order"},
-      {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].resource = 9; },
+      {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].resource = 10; },
        "dispatch \"take\": copies \"color\" to \"kept\", which has another format or extent"},
       {[](Variant& v) { v.segments[0].dispatches[0].bindings[1].resource = 0; },
        "dispatch \"take\", binding 1: an image descriptor leads to the tensor \"x\""},
@@ -613,17 +761,17 @@ TEST(LinearImages, AndTransfersFollowRules) {
       {[](Variant& v) { v.segments[1].dispatches[0].bindings[0].type = BindingType::kTransfer; },
        "dispatch \"pack\", binding 0: transfer segments have transfer bindings, and no others do"},
       {[](Variant& v) {
-         v.segments[1].dispatches[0].bindings[4].type = BindingType::kStorageImage;
+         v.segments[1].dispatches[0].bindings[5].type = BindingType::kStorageImage;
        },
        "dispatch \"pack\", binding 3: an image descriptor leads to the linear image \"raw\""},
       {[](Variant& v) {
-         v.segments[1].dispatches[0].bindings[4].view_format = ImageFormat::kR32Float;
+         v.segments[1].dispatches[0].bindings[5].view_format = ImageFormat::kR32Float;
        },
        "dispatch \"pack\", binding 3: a texel buffer cannot have the view format r32_float"},
-      {[](Variant& v) { v.segments[1].dispatches[0].bindings[4].writes = true; },
+      {[](Variant& v) { v.segments[1].dispatches[0].bindings[5].writes = true; },
        "dispatch \"pack\", binding 3: a uniform texel buffer is written"},
-      {[](Variant& v) { v.segments[1].dispatches[0].bindings[5].frames_back = 1; },
-       "dispatch \"pack\", binding 4: an earlier frame's \"kept\" is written"},
+      {[](Variant& v) { v.segments[1].dispatches[0].bindings[6].frames_back = 1; },
+       "dispatch \"pack\", binding 5: an earlier frame's \"kept\" is written"},
   };
   for (const Row& row : rows) {
     Package package = linear_package();

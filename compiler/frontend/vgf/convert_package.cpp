@@ -39,6 +39,9 @@ class Converter {
       : package_(package), variant_(variant), weights_as_inputs_(weights_as_inputs) {}
 
   Result<Vgf> convert() {
+    if (variant_.programs.size() > 1)
+      return unsupported("", "has {} programs, VGF has one sequence of segments only",
+                         variant_.programs.size());
     for (const Param& param : variant_.params)
       if (param.source == ParamSource::kReset)
         return unsupported(fmt::format("parameter \"{}\"", param.name),
@@ -101,8 +104,11 @@ class Converter {
     const Resource& resource = variant_.resources[index];
     std::vector<Use> uses = uses_[index];
     const std::string where = fmt::format("resource \"{}\"", resource.name);
-    if (resource.category == Category::kImageHistory)
-      return unsupported(where, "is an image of earlier frames, VGF has one frame only");
+    if (resource.history_depth != 0)
+      return unsupported(where, "is a history of earlier frames, VGF has one frame only");
+    if (std::any_of(uses.begin(), uses.end(),
+                    [](const Use& use) { return use.type == BindingType::kSampler; }))
+      return unsupported(where, "is read with a sampler, which cannot be converted");
     if (is_linear(resource))
       return unsupported(where, "is a linear image, which the segments of a VGF cannot fill");
     if (resource.category == Category::kWeights && !weights_as_inputs_)
@@ -151,7 +157,8 @@ class Converter {
         entry.shape = {1, resource.height, resource.width,
                        image_format_info(resource.format).channels};
         break;
-      case BindingType::kTransfer: break;  // one end is a linear image, which is refused
+      case BindingType::kTransfer:  // one end is a linear image, which is refused
+      case BindingType::kSampler: break;  // refused
     }
     return entry;
   }
