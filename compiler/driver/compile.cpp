@@ -204,7 +204,9 @@ Result<std::vector<GroupProblem>> group_problems(const Graph& graph, const Devic
 
 /// The profile of a target, with the constants of the device at hand where they are given.
 Result<DeviceProfile> profile_of(const std::string& target, const CompileOptions& options) {
-  const DeviceProfile* profile = find_profile(target);
+  const auto given = options.profiles.find(target);
+  const DeviceProfile* profile =
+      given != options.profiles.end() ? &given->second : find_profile(target);
   if (!profile) {
     std::string known;
     for (const DeviceProfile& each : known_profiles())
@@ -212,7 +214,8 @@ Result<DeviceProfile> profile_of(const std::string& target, const CompileOptions
     return bad_input("--target", "\"{}\" is unknown, expected one of: {}", target, known);
   }
   DeviceProfile own = *profile;
-  if (const auto measured = options.constants.find(target); measured != options.constants.end())
+  if (const auto measured = options.constants.find(std::string(own.name));
+      measured != options.constants.end())
     own.ns = measured->second.ns, own.roof_gops = measured->second.roof_gops;
   return own;
 }
@@ -321,7 +324,7 @@ Result<Compiled> compile_loaded(std::vector<LoadedGraph> loaded, const CompileOp
   for (size_t i = 0; i < all.plans.size(); ++i) {
     Plan& plan = all.plans[i];
     SHALE_TRY_VOID(build_modules(plan, {options.optimize_spirv, options.pass_options.verify_each,
-                                        options.progress}));
+                                        all.profiles[i].caps.subgroup_size, options.progress}));
     for (const std::string& line : missing(all.profiles[i].caps, plan.variant.requirements))
       compiled.warnings.push_back(fmt::format("target {}: {}", plan.variant.target, line));
     compiled.arena_lower_bound_bytes =

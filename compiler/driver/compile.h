@@ -17,8 +17,10 @@
 namespace shale {
 
 struct CompileOptions {
-  std::vector<std::string> targets{"lavapipe"};  ///< a variant each, names of known_profiles()
-  ImportOptions import;                          ///< input_shapes are those of `passes`
+  std::vector<std::string> targets{"lavapipe"};  ///< a variant each
+  /// Profiles of targets that are no known_profiles(), such as what profile_from_caps made.
+  std::map<std::string, DeviceProfile> profiles;
+  ImportOptions import;  ///< input_shapes are those of `passes`
   PassContext passes;
   PassOptions pass_options;
   std::vector<std::string>

@@ -1,73 +1,126 @@
-// conv2d_s8_coopmat: convolution as products of int8 matrices (VK_KHR_cooperative_matrix), 16
-// pixels by 16 output channels by 32 input bytes at a time. Not run on hardware.
+// conv2d_s8_coopmat: convolution as products of int8 matrices (VK_KHR_cooperative_matrix), M pixels
+// by N output channels by K input bytes at a time, of a shape that the device has.
 //
-// Meaning of a workgroup: one subgroup of 32 makes 16 neighbouring pixels of a row, up to 64 output
-// channels in four accumulators. The taps' words of channels form one line of bytes; chunks of 32
-// of them are staged for the 16 pixels in shared memory by plain code, which knows borders, views
-// and channel counts. Chunks alternate between two halves, so one barrier a chunk is enough: nobody
-// writes a half before all have passed the barrier after its last reading. Weights lie as
-// [chunk][block of 16 oc][byte][oc], the folded bias follows them. Sums go through shared memory
-// into the fused nodes.
+// Meaning of a workgroup: one subgroup makes neighbouring pixels of a row, 16 of them or M if that
+// is more, and as many blocks of N output channels as its accumulators have room for. The taps'
+// words of channels form one line of bytes; chunks of it are staged for the pixels in shared memory
+// by plain code, which knows borders, views and channel counts. Chunks alternate between two
+// halves, so one barrier a chunk is enough: nobody writes a half before all have passed the barrier
+// after its last reading. Weights lie as [step of K bytes][block of N oc] matrices, by rows or by
+// columns, whichever fill lines of 16 bytes better; the folded bias follows them. Sums go through
+// shared memory into the fused nodes.
 //
 // Exact for all weights that are int8 without their zero point: sums are int32. Source: ours; one
-// subgroup per 16 pixels and the small shared memory as in nss.md section 8. The code around the
-// matrix instructions runs on any device in tests/compiler/coopmat_test.
+// subgroup per 16 pixels and the small shared memory as in nss.md section 8. Run on lavapipe of
+// Mesa 26 (8x8x8 in subgroups of 8), not on a GPU; tests/compiler/coopmat_test runs the code around
+// the matrix instructions for other shapes on any device.
 #include <algorithm>
+#include <optional>
+#include <tuple>
 
 #include "compiler/kernels/gpu_conv.h"
 
 namespace shale {
 namespace {
 
-constexpr int64_t kM = 16, kN = 16, kK = 32;
-constexpr uint32_t kSubgroup = 32;
-constexpr int64_t kMostBlocks = 4;  ///< accumulators live at once
-constexpr int64_t kLeastChannels = 16;
+constexpr int64_t kLeastPixels = 16;    ///< of a workgroup
+constexpr int64_t kLeastChunk = 32;     ///< bytes staged between barriers
+constexpr int64_t kMostSums = 32;       ///< of an invocation
+constexpr int64_t kLeastChannels = 16;  ///< below, too much of a matrix is filled with nothing
+constexpr int64_t kLine = 16;           ///< bytes of an element of the weight buffer
 
 int64_t groups(int64_t extent, int64_t each) { return (extent + each - 1) / each; }
+
+/// A matrix product and what a workgroup makes of it.
+struct Tile {
+  int64_t m, n, k, subgroup;
+  int64_t rows;    ///< of matrices: their pixels lie next to each other
+  int64_t steps;   ///< products along K to a chunk
+  int64_t blocks;  ///< most blocks of channels at once
+  bool by_columns;
+
+  Tile(const MatrixProduct& product, uint32_t subgroup_size)
+      : m(product.m),
+        n(product.n),
+        k(product.k),
+        subgroup(subgroup_size),
+        rows(std::max<int64_t>(1, kLeastPixels / m)),
+        steps(std::max<int64_t>(1, kLeastChunk / k)),
+        blocks(std::max<int64_t>(1, kMostSums * subgroup / (rows * m * n))),
+        by_columns(n * groups(k, kLine) < k * groups(n, kLine)) {}
+
+  int64_t pixels() const { return rows * m; }
+  int64_t chunk_words() const { return steps * k / 4; }
+  int64_t half_words() const { return pixels() * chunk_words(); }
+  int64_t stage_words() const { return std::max(2 * half_words(), m * n); }
+  /// uvec4 from one row or column of B to the next, and of all of B.
+  int64_t line() const { return groups(by_columns ? k : n, kLine); }
+  int64_t lines() const { return line() * (by_columns ? n : k); }
+};
+
+/// Extents beyond this no device has; products of them stay far from overflow.
+constexpr uint32_t kMostExtent = 256;
+
+bool is_usable(const MatrixProduct& product, const DeviceCaps& caps) {
+  const auto is_extent = [](uint32_t extent) { return extent > 0 && extent <= kMostExtent; };
+  if (!is_extent(product.m) || !is_extent(product.n) || !is_extent(product.k)) return false;
+  if (product.n % 4 != 0 || product.k % 4 != 0) return false;  // words of four channels
+  const Tile tile(product, caps.subgroup_size);
+  return 4 * tile.stage_words() <= caps.max_shared_bytes;
+}
 
 /// Workgroups for the channels of the same pixels, and blocks of each.
 struct Slices {
   int64_t count, blocks;
 };
 
-Slices slices_of(int64_t channels) {
-  const int64_t blocks = groups(channels, kN);
-  const int64_t count = groups(blocks, kMostBlocks);
+Slices slices_of(int64_t channels, const Tile& tile) {
+  const int64_t blocks = groups(channels, tile.n);
+  const int64_t count = groups(blocks, tile.blocks);
   return {count, groups(blocks, count)};
 }
 
 class CoopmatEmitter {
  public:
-  explicit CoopmatEmitter(const GroupProblem& problem)
+  CoopmatEmitter(const GroupProblem& problem, const Tile& tile)
       : conv_(problem),
         codegen_(problem),
-        slices_(slices_of(conv_.out()[3])),
-        chunks_(groups(conv_.taps() * conv_.words() * 4, kK)) {}
+        tile_(tile),
+        slices_(slices_of(conv_.out()[3], tile)),
+        chunks_(groups(conv_.taps() * conv_.words(), tile.chunk_words())) {}
 
   KernelSource emit() {
-    const int64_t rows = chunks_ * blocks() * kK;
     const size_t weights = codegen_.bind_constant(pack());
     codegen_.add_function(
-        fmt::format("#define WEIGHTS b{}.d\n#include \"coopmat.glsl\"\n\n", weights));
+        fmt::format("#define WEIGHTS b{}.d\n#define SUBGROUP {}\n#define MATRIX_M {}\n"
+                    "#define MATRIX_N {}\n#define MATRIX_K {}\n#define STAGE_WORDS {}\n"
+                    "#define A_STRIDE {}\n#define B_LAYOUT {}\n#define B_STRIDE {}\n"
+                    "#include \"coopmat.glsl\"\n\n",
+                    weights, tile_.subgroup, tile_.m, tile_.n, tile_.k, tile_.stage_words(),
+                    tile_.chunk_words(), tile_.by_columns ? 1 : 0, tile_.line()));
     conv_.declare_inputs(codegen_);
     declare_stage();
-    conv_.declare_finish(codegen_, weights, rows);
+    conv_.declare_finish(codegen_, weights, chunks_ * tile_.steps * blocks() * tile_.lines());
     KernelSource source;
-    source.glsl = codegen_.finish(fmt::format("local_size_x = {}", kSubgroup), body());
-    const Shape& out = conv_.out();
-    source.workgroups = {static_cast<uint32_t>(groups(out[2], kM)), static_cast<uint32_t>(out[1]),
-                         static_cast<uint32_t>(out[0] * slices_.count)};
+    source.glsl = codegen_.finish(fmt::format("local_size_x = {}", tile_.subgroup), body());
+    const std::array<int64_t, 3> grid = workgroups();
+    std::transform(grid.begin(), grid.end(), source.workgroups.begin(),
+                   [](int64_t extent) { return static_cast<uint32_t>(extent); });
     source.bindings = codegen_.bindings();
     source.optimize = OptimizeBy::kNothing;  // spirv-opt does not know the instructions
     return source;
   }
 
-  /// Multiply-accumulates with those that fill blocks and chunks.
+  std::array<int64_t, 3> workgroups() const {
+    const Shape& out = conv_.out();
+    return {groups(out[2], tile_.pixels()), out[1], out[0] * slices_.count};
+  }
+
+  /// Multiply-accumulates with those that fill pixels, blocks and chunks.
   double macs() const {
     const Shape& out = conv_.out();
-    return static_cast<double>(out[0] * out[1] * out[2]) *
-           static_cast<double>(chunks_ * kK * blocks() * kN);
+    return static_cast<double>(out[0] * out[1] * groups(out[2], tile_.pixels()) * tile_.pixels()) *
+           static_cast<double>(chunks_ * 4 * tile_.chunk_words() * blocks() * tile_.n);
   }
 
  private:
@@ -75,23 +128,32 @@ class CoopmatEmitter {
 
   std::vector<uint8_t> pack() const {
     std::vector<uint8_t> bytes;
-    const int64_t slots = 4 * conv_.words();
-    for (int64_t chunk = 0; chunk < chunks_; ++chunk)
+    const int64_t slots = 4 * conv_.words(), products = conv_.taps() * slots;
+    const int64_t lines = tile_.by_columns ? tile_.n : tile_.k;
+    for (int64_t step = 0; step < chunks_ * tile_.steps; ++step)
       for (int64_t block = 0; block < blocks(); ++block)
-        for (int64_t k = chunk * kK; k < (chunk + 1) * kK; ++k)
-          for (int64_t oc = block * kN; oc < (block + 1) * kN; ++oc)
+        for (int64_t line = 0; line < lines; ++line)
+          for (int64_t byte = 0; byte < tile_.line() * kLine; ++byte) {
+            const int64_t k = tile_.by_columns ? byte : line, n = tile_.by_columns ? line : byte;
+            const int64_t product = step * tile_.k + k;
+            const bool fills = k >= tile_.k || n >= tile_.n || product >= products;
             bytes.push_back(static_cast<uint8_t>(
-                k < conv_.taps() * slots ? conv_.centred_weight(oc, k / slots, k % slots) : 0));
-    conv_.append_bias(bytes, blocks() * kN);
+                fills
+                    ? 0
+                    : conv_.centred_weight(block * tile_.n + n, product / slots, product % slots)));
+          }
+    conv_.append_bias(bytes, blocks() * tile_.n);
     return bytes;
   }
 
-  /// Words that lie together in one tensor wherever a lane's four begin.
+  /// Words that a lane stages at once: they lie together in one tensor wherever they begin.
   int64_t run() const {
-    return std::all_of(conv_.parts().begin(), conv_.parts().end(),
-                       [](const GpuConv::Part& part) { return part.words() % 4 == 0; })
-               ? 4
-               : 1;
+    for (const int64_t words : {4, 2})
+      if (tile_.chunk_words() % words == 0 &&
+          std::all_of(conv_.parts().begin(), conv_.parts().end(),
+                      [&](const GpuConv::Part& part) { return part.words() % words == 0; }))
+        return words;
+    return 1;
   }
 
   /// void stage_input(...): words k to k + run() - 1 of the line of a pixel's taps, into shared
@@ -119,67 +181,106 @@ class CoopmatEmitter {
     codegen_.add_function(text + "}\n\n");
   }
 
+  /// `statement` for every one of `count` things, named `i`, a lane at a time.
+  std::string spread(int64_t count, const std::string& statement) const {
+    return fmt::format("  for (int i = lane; i < {}; i += {}) {}\n", count, tile_.subgroup,
+                       statement);
+  }
+
   std::string body() const {
+    const int64_t words = tile_.chunk_words(), pieces = words / run(), quads = tile_.n / 4;
     std::string text = fmt::format(
-        "  int lane = int(gl_LocalInvocationID.x);\n  int pixel = lane / 2, side = lane % 2;\n"
-        "  int x = int(gl_WorkGroupID.x) * {} + pixel;\n  int y = int(gl_WorkGroupID.y);\n"
+        "  int lane = int(gl_LocalInvocationID.x);\n"
+        "  int x = int(gl_WorkGroupID.x) * {};\n  int y = int(gl_WorkGroupID.y);\n"
         "  int n = int(gl_WorkGroupID.z) / {};\n"
         "  int block = int(gl_WorkGroupID.z) % {} * {};\n",
-        kM, slices_.count, slices_.count, slices_.blocks);
-    for (int64_t b = 0; b < slices_.blocks; ++b)
-      text += fmt::format("  MatrixC c{} = MATRIX_ZERO;\n", b);
+        tile_.pixels(), slices_.count, slices_.count, slices_.blocks);
+    const auto each = [&](auto write) {
+      for (int64_t row = 0; row < tile_.rows; ++row)
+        for (int64_t b = 0; b < slices_.blocks; ++b) text += write(row, b);
+    };
+    each([](int64_t row, int64_t b) {
+      return fmt::format("  MatrixC c{}_{} = MATRIX_ZERO;\n", row, b);
+    });
     text +=
         fmt::format("  for (int chunk = 0; chunk < {}; ++chunk) {{\n    int at = chunk % 2 * {};\n",
-                    chunks_, kM * kK / 4);
-    for (int64_t j = 0; j < 4; j += run())
-      text += fmt::format(
-          "    stage_input(n, y, x, chunk * 8 + side * 4 + {0}, at + pixel * 8 + side * 4 + "
-          "{0});\n",
-          j);
-    text += fmt::format(
-        "    barrier();\n    MatrixA a = MATRIX_LOAD_A(at);\n"
-        "    int w = (chunk * {} + block) * {};\n",
-        blocks(), kK);
-    for (int64_t b = 0; b < slices_.blocks; ++b)
-      text += fmt::format("    c{0} = MATRIX_MULTIPLY_ADD(a, MATRIX_LOAD_B(w + {1}), c{0});\n", b,
-                          b * kK);
-    text += "  }\n  int from = pixel * 16 + side * 8;\n";
-    for (int64_t b = 0; b < slices_.blocks; ++b) {
-      text += fmt::format("  barrier();\n  MATRIX_STORE_C(0, c{});\n  barrier();\n", b);
-      for (int64_t i = 0; i < 8; i += 4)
-        text += fmt::format(
-            "  finish(ivec4(stage[from + {}], stage[from + {}], stage[from + {}], stage[from + "
-            "{}]), n, y, x, (block + {}) * {} + side * 8 + {});\n",
-            i, i + 1, i + 2, i + 3, b, kN, i);
+                    chunks_, tile_.half_words());
+    text += spread(
+        tile_.pixels() * pieces,
+        fmt::format("stage_input(n, y, x + i / {0}, chunk * {1} + i % {0} * {2}, at + i * {2});",
+                    pieces, words, run()));
+    text += "    barrier();\n";
+    for (int64_t step = 0; step < tile_.steps; ++step) {
+      text += "    {\n";
+      for (int64_t row = 0; row < tile_.rows; ++row)
+        text += fmt::format("      MatrixA a{} = MATRIX_LOAD_A(at + {});\n", row,
+                            row * tile_.m * words + step * tile_.k / 4);
+      text += fmt::format("      int w = ((chunk * {} + {}) * {} + block) * {};\n", tile_.steps,
+                          step, blocks(), tile_.lines());
+      for (int64_t b = 0; b < slices_.blocks; ++b) {
+        text += fmt::format("      MatrixB b_{} = MATRIX_LOAD_B(w + {});\n", b, b * tile_.lines());
+        for (int64_t row = 0; row < tile_.rows; ++row)
+          text +=
+              fmt::format("      c{0}_{1} = MATRIX_MULTIPLY_ADD(a{0}, b_{1}, c{0}_{1});\n", row, b);
+      }
+      text += "    }\n";
     }
+    text += "  }\n";
+    each([&](int64_t row, int64_t b) {
+      return fmt::format("  barrier();\n  MATRIX_STORE_C(0, c{}_{});\n  barrier();\n", row, b) +
+             spread(tile_.m * quads,
+                    fmt::format("finish(ivec4(stage[4 * i], stage[4 * i + 1], stage[4 * i + 2], "
+                                "stage[4 * i + 3]), n, y, x + {} + i / {}, (block + {}) * {} + i % "
+                                "{} * 4);",
+                                row * tile_.m, quads, b, tile_.n, quads));
+    });
     return text;
   }
 
   GpuConv conv_;
   Codegen codegen_;
+  Tile tile_;
   Slices slices_;
   int64_t chunks_;
 };
 
+/// Of the products that the device has, the one that takes the fewest MACs with what fills it; of
+/// equals the largest. Nothing if none is fit.
+std::optional<Tile> best_tile(const GroupProblem& problem, const DeviceCaps& caps) {
+  std::optional<Tile> best;
+  std::tuple<double, int64_t> best_rank;
+  for (const MatrixProduct& product : caps.matrix_products) {
+    if (!is_usable(product, caps)) continue;
+    const Tile tile(product, caps.subgroup_size);
+    const CoopmatEmitter emitter(problem, tile);
+    const std::array<int64_t, 3> grid = emitter.workgroups();
+    if (*std::max_element(grid.begin(), grid.end()) > kMaxWorkgroups) continue;
+    const std::tuple rank{emitter.macs(), -tile.m * tile.n * tile.k};
+    if (!best || rank < best_rank) best = tile, best_rank = rank;
+  }
+  return best;
+}
+
 }  // namespace
 
 bool conv2d_coopmat_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  if (!profile.caps.features.has(Feature::kCooperativeMatrix) ||
-      profile.caps.subgroup_size != kSubgroup || !GpuConv::supports(problem, profile))
+  if (!profile.caps.features.has(Feature::kCooperativeMatrix) || profile.caps.subgroup_size == 0 ||
+      !GpuConv::supports(problem, profile))
     return false;
   const Shape& out = problem.graph->value(problem.group.result).type.shape;
   return out[3] >= kLeastChannels && GpuConv(problem).centred_weights_are_int8() &&
-         groups(out[2], kM) <= kMaxWorkgroups && out[1] <= kMaxWorkgroups &&
-         out[0] * slices_of(out[3]).count <= kMaxWorkgroups;
+         best_tile(problem, profile.caps);
 }
 
-WorkTable conv2d_coopmat_work(const GroupProblem& problem) {
-  return gpu_conv_work(problem, Work::kMatrixMac, CoopmatEmitter(problem).macs());
+WorkTable conv2d_coopmat_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return gpu_conv_work(problem, Work::kMatrixMac,
+                       CoopmatEmitter(problem, *best_tile(problem, profile.caps)).macs());
 }
 
 Result<std::vector<KernelSource>> conv2d_coopmat_emit(const GroupProblem& problem,
-                                                      const DeviceProfile&) {
-  return std::vector<KernelSource>{CoopmatEmitter(problem).emit()};
+                                                      const DeviceProfile& profile) {
+  return std::vector<KernelSource>{
+      CoopmatEmitter(problem, *best_tile(problem, profile.caps)).emit()};
 }
 
 }  // namespace shale

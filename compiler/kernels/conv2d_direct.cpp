@@ -229,7 +229,9 @@ int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile&)
 bool conv2d_f64pair_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<pair_map>(problem, profile);
 }
-WorkTable conv2d_f64pair_work(const GroupProblem& problem) { return work<pair_map>(problem); }
+WorkTable conv2d_f64pair_work(const GroupProblem& problem, const DeviceProfile&) {
+  return work<pair_map>(problem);
+}
 Result<std::vector<KernelSource>> conv2d_f64pair_emit(const GroupProblem& problem,
                                                       const DeviceProfile&) {
   return emit<pair_map>(problem);
@@ -238,7 +240,9 @@ Result<std::vector<KernelSource>> conv2d_f64pair_emit(const GroupProblem& proble
 bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<float_map>(problem, profile);
 }
-WorkTable conv2d_f32exact_work(const GroupProblem& problem) { return work<float_map>(problem); }
+WorkTable conv2d_f32exact_work(const GroupProblem& problem, const DeviceProfile&) {
+  return work<float_map>(problem);
+}
 Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& problem,
                                                        const DeviceProfile&) {
   return emit<float_map>(problem);
@@ -247,7 +251,9 @@ Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& probl
 bool conv2d_phase_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<phase_map>(problem, profile);
 }
-WorkTable conv2d_phase_work(const GroupProblem& problem) { return work<phase_map>(problem); }
+WorkTable conv2d_phase_work(const GroupProblem& problem, const DeviceProfile&) {
+  return work<phase_map>(problem);
+}
 Result<std::vector<KernelSource>> conv2d_phase_emit(const GroupProblem& problem,
                                                     const DeviceProfile&) {
   return emit<phase_map>(problem);
@@ -256,7 +262,9 @@ Result<std::vector<KernelSource>> conv2d_phase_emit(const GroupProblem& problem,
 bool conv2d_i32_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<integer_map>(problem, profile);
 }
-WorkTable conv2d_i32_work(const GroupProblem& problem) { return work<integer_map>(problem); }
+WorkTable conv2d_i32_work(const GroupProblem& problem, const DeviceProfile&) {
+  return work<integer_map>(problem);
+}
 Result<std::vector<KernelSource>> conv2d_i32_emit(const GroupProblem& problem,
                                                   const DeviceProfile&) {
   return emit<integer_map>(problem);

@@ -173,7 +173,7 @@ bool conv2d_dot8_supports(const GroupProblem& problem, const DeviceProfile& prof
          out[0] * groups(out[3], tile.channels) <= kMaxWorkgroups;
 }
 
-WorkTable conv2d_dot8_work(const GroupProblem& problem) {
+WorkTable conv2d_dot8_work(const GroupProblem& problem, const DeviceProfile&) {
   return gpu_conv_work(problem, Work::kDotMac, Dot8Emitter(problem).macs());
 }
 

@@ -259,7 +259,7 @@ bool conv2d_loop_supports(const GroupProblem& problem, const DeviceProfile& prof
   return LoopEmitter(problem).fits(profile.caps);
 }
 
-WorkTable conv2d_loop_work(const GroupProblem& problem) {
+WorkTable conv2d_loop_work(const GroupProblem& problem, const DeviceProfile&) {
   WorkTable work = gpu_conv_work(problem, Work::kLoopMac, LoopEmitter(problem).macs());
   // An element is made as by the generic kernel, and finding the place of a tap takes as long.
   const Node& head = problem.graph->node(*problem.group.head);

@@ -293,7 +293,7 @@ int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfil
   return Winograd(problem).literals();
 }
 
-WorkTable conv2d_winograd_work(const GroupProblem& problem) {
+WorkTable conv2d_winograd_work(const GroupProblem& problem, const DeviceProfile&) {
   WorkTable work = Winograd(problem).work();
   work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
   return work;

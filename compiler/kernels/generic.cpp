@@ -268,7 +268,7 @@ class HeadEmitter {
 
 bool generic_supports(const GroupProblem&, const DeviceProfile&) { return true; }
 
-WorkTable generic_work(const GroupProblem& problem) {
+WorkTable generic_work(const GroupProblem& problem, const DeviceProfile&) {
   WorkTable work{};
   work[Work::kDispatch] = 1;
   work[Work::kGenericMac] = static_cast<double>(problem.cost.macs);

@@ -52,7 +52,7 @@ struct KernelFamily {
   std::string_view name;
   bool (*supports)(const GroupProblem& problem, const DeviceProfile& profile);
   /// What the kernel does, dispatches included; its time follows by work_time_us.
-  WorkTable (*work)(const GroupProblem& problem);
+  WorkTable (*work)(const GroupProblem& problem, const DeviceProfile& profile);
   /// Products whose weights stand in the code, which the driver has to compile; null if none do.
   int64_t (*literals)(const GroupProblem& problem, const DeviceProfile& profile);
   /// Errors: kUnsupported where the group is outside the family after all.
@@ -62,9 +62,9 @@ struct KernelFamily {
 
 inline constexpr int64_t (*no_literals)(const GroupProblem&, const DeviceProfile&) = nullptr;
 
-#define SHALE_KERNEL(prefix, name, literals)                         \
-  bool prefix##_supports(const GroupProblem&, const DeviceProfile&); \
-  WorkTable prefix##_work(const GroupProblem&);                      \
+#define SHALE_KERNEL(prefix, name, literals)                          \
+  bool prefix##_supports(const GroupProblem&, const DeviceProfile&);  \
+  WorkTable prefix##_work(const GroupProblem&, const DeviceProfile&); \
   Result<std::vector<KernelSource>> prefix##_emit(const GroupProblem&, const DeviceProfile&);
 #include "compiler/kernels/kernels.def"
 int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile& profile);

@@ -23,7 +23,7 @@ struct Candidate {
 
 Candidate candidate(const KernelFamily& family, const GroupProblem& problem,
                     const DeviceProfile& profile) {
-  const WorkTable work = family.work(problem);
+  const WorkTable work = family.work(problem, profile);
   Candidate candidate{.family = &family, .run_us = work_time_us(work, profile.ns)};
   if (family.literals) candidate.products = family.literals(problem, profile);
   candidate.driver_us = profile.driver_us_per_product * static_cast<double>(candidate.products) +

@@ -197,7 +197,7 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
     const GroupProblem& problem = graph.problems[i];
     const KernelFamily& family = *graph.selection.families[i];
     std::vector<KernelSource>& sources = *groups[i];
-    WorkTable work = family.work(problem);
+    WorkTable work = family.work(problem, profile);
     work[Work::kDispatch] = static_cast<double>(sources.size());
     for (double& amount : work) amount /= static_cast<double>(sources.size());
     for (size_t part = 0; part < sources.size(); ++part) {

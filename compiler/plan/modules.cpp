@@ -39,6 +39,8 @@ void add_needs(Requirements& all, const SpirvNeeds& needs) {
   all.features.bits |= needs.features.bits;
   all.workgroup_invocations = std::max(all.workgroup_invocations, needs.workgroup_invocations);
   all.shared_bytes = std::max(all.shared_bytes, needs.shared_bytes);
+  all.matrix_products.insert(all.matrix_products.end(), needs.matrix_products.begin(),
+                             needs.matrix_products.end());
 }
 
 }  // namespace
@@ -81,6 +83,11 @@ Result<void> build_modules(Plan& plan, const ModuleOptions& options) {
   variant.requirements.features.bits |= from_modules.features.bits;
   variant.requirements.workgroup_invocations = from_modules.workgroup_invocations;
   variant.requirements.shared_bytes = from_modules.shared_bytes;
+  std::vector<MatrixProduct>& products = variant.requirements.matrix_products;
+  products = std::move(from_modules.matrix_products);
+  std::sort(products.begin(), products.end());
+  products.erase(std::unique(products.begin(), products.end()), products.end());
+  if (!products.empty()) variant.requirements.subgroup_size = options.subgroup_size;
   return {};
 }
 

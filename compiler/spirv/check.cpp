@@ -1,6 +1,7 @@
 #include "compiler/spirv/check.h"
 
 #include <algorithm>
+#include <array>
 #include <map>
 #include <spirv-tools/libspirv.hpp>
 #include <spirv-tools/optimizer.hpp>
@@ -12,7 +13,9 @@ namespace shale {
 namespace {
 
 constexpr spv_target_env kEnvironment = SPV_ENV_VULKAN_1_3;
-constexpr uint32_t kCapabilityCooperativeMatrixKhr = 6022;  // not in the headers of 2023
+// Not in the headers of 2023.
+constexpr uint32_t kCapabilityCooperativeMatrixKhr = 6022, kOpTypeCooperativeMatrixKhr = 4456,
+                   kOpCooperativeMatrixLoadKhr = 4457, kOpCooperativeMatrixMulAddKhr = 4459;
 
 /// Collects what SPIRV-Tools says into one line.
 spvtools::MessageConsumer into(std::string& text) {
@@ -71,6 +74,8 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
   // Bytes of types by id, of constants their value: enough to size the variables of a workgroup.
   std::map<uint32_t, uint64_t> sizes, constants, shared;
   uint64_t shared_bytes = 0;
+  std::map<uint32_t, std::array<uint32_t, 2>> matrices;  // ids of rows and columns, by type
+  std::map<uint32_t, uint32_t> loaded;                   // types of matrices
   for (size_t at = 5; at < words.size();) {
     const uint32_t opcode = words[at] & 0xffff, length = words[at] >> 16;
     if (length == 0 || at + length > words.size())
@@ -144,10 +149,28 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
         if (length >= 4 && operand[3] == spv::StorageClassWorkgroup)
           shared_bytes += shared[operand[1]];
         break;
+      case kOpTypeCooperativeMatrixKhr:
+        if (length >= 6) matrices[operand[1]] = {operand[4], operand[5]};
+        break;
+      case spv::OpLoad:
+      case kOpCooperativeMatrixLoadKhr:
+        if (length >= 3) loaded[operand[2]] = operand[1];
+        break;
+      case kOpCooperativeMatrixMulAddKhr: {
+        if (length < 6) break;
+        const auto result = matrices[operand[1]], a = matrices[loaded[operand[3]]];
+        const auto size = [&](uint32_t id) { return static_cast<uint32_t>(constants[id]); };
+        needs.matrix_products.push_back({size(result[0]), size(result[1]), size(a[1])});
+        break;
+      }
       default: break;
     }
     at += length;
   }
+  std::sort(needs.matrix_products.begin(), needs.matrix_products.end());
+  needs.matrix_products.erase(
+      std::unique(needs.matrix_products.begin(), needs.matrix_products.end()),
+      needs.matrix_products.end());
   needs.shared_bytes = static_cast<uint32_t>(std::min<uint64_t>(shared_bytes, UINT32_MAX));
   return needs;
 }

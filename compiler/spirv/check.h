@@ -28,12 +28,13 @@ Result<Validity> validate_spirv(const Spirv& words, const std::string& where);
 Result<std::string> disassemble_spirv(const Spirv& words);
 
 /// Device features behind the module's OpCapability instructions, its workgroup's invocations and
-/// shared memory.
-/// Errors: kUnsupported for a capability that has no Feature.
+/// shared memory, products of cooperative matrices.
+/// Errors: kUnsupported for a capability that has no Feature; kBadInput for broken words.
 struct SpirvNeeds {
   FeatureSet features;
   uint32_t workgroup_invocations = 1;
   uint32_t shared_bytes = 0;
+  std::vector<MatrixProduct> matrix_products;  ///< ascending
 };
 Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where);
 

@@ -11,10 +11,11 @@ namespace {
 // Source: SPIR-V 1.6; SPV_NV_cooperative_matrix; SPV_KHR_cooperative_matrix.
 constexpr uint32_t kHeaderWords = 5, kBoundWord = 3;
 constexpr uint32_t kOpUndef = 1, kOpSource = 3, kOpLine = 8, kOpExtension = 10, kOpCapability = 17,
-                   kOpTypeVoid = 19, kOpTypeBool = 20, kOpTypeInt = 21, kOpTypeForwardPointer = 39,
-                   kOpConstantTrue = 41, kOpConstantFalse = 42, kOpConstant = 43,
-                   kOpConstantNull = 46, kOpFunctionParameter = 55, kOpFunctionCall = 57,
-                   kOpLoad = 61, kOpCompositeConstruct = 80, kOpCopyObject = 83, kOpPhi = 245;
+                   kOpTypeVoid = 19, kOpTypeBool = 20, kOpTypeInt = 21, kOpTypePointer = 32,
+                   kOpTypeFunction = 33, kOpTypeForwardPointer = 39, kOpConstantTrue = 41,
+                   kOpConstantFalse = 42, kOpConstant = 43, kOpConstantNull = 46,
+                   kOpFunctionParameter = 55, kOpFunctionCall = 57, kOpLoad = 61,
+                   kOpCompositeConstruct = 80, kOpCopyObject = 83, kOpPhi = 245;
 constexpr uint32_t kTypeKhr = 4456, kLoadKhr = 4457, kStoreKhr = 4458, kMulAddKhr = 4459,
                    kLengthKhr = 4460;
 constexpr uint32_t kTypeNv = 5358, kLoadNv = 5359, kStoreNv = 5360, kMulAddNv = 5361,
@@ -77,6 +78,31 @@ std::vector<Instruction>::iterator first_type(std::vector<Instruction>& instruct
     const uint32_t op = opcode(each);
     return (op >= kOpTypeVoid && op <= kOpTypeForwardPointer) || op == kTypeKhr;
   });
+}
+
+/// Without their use two types of matrices may be equal, which types may not be: one takes the place
+/// of the other.
+void merge_older_types(std::vector<Instruction>& instructions) {
+  std::map<Instruction, uint32_t> first;      // id by all that follows it
+  std::map<uint32_t, uint32_t> replacements;  // of ids
+  std::erase_if(instructions, [&](const Instruction& each) {
+    if (opcode(each) != kTypeNv) return false;
+    const auto [same, is_new] = first.try_emplace({each.begin() + 2, each.end()}, each[1]);
+    if (!is_new) replacements[each[1]] = same->second;
+    return !is_new;
+  });
+  const auto replace = [&](uint32_t& id) {
+    const auto found = replacements.find(id);
+    if (found != replacements.end()) id = found->second;
+  };
+  // From the types on a first operand is an id: a result's type, or nothing that was replaced.
+  for (auto each = first_type(instructions); each != instructions.end(); ++each) {
+    const uint32_t op = opcode(*each);
+    if (each->size() > 1) replace((*each)[1]);
+    if (op == kOpTypePointer && each->size() > 3) replace((*each)[3]);
+    if (op == kOpTypeFunction)
+      for (size_t i = 2; i < each->size(); ++i) replace((*each)[i]);
+  }
 }
 
 }  // namespace
@@ -203,6 +229,7 @@ Result<Spirv> with_older_matrices(const Spirv& words, const std::string& where) 
       each = make(kMulAddNv, {each[1], each[2], each[3], each[4], each[5]});
     }
   }
+  merge_older_types(instructions);
   const std::vector<Instruction> orders{make(kOpConstantFalse, {boolean, row_major}),
                                         make(kOpConstantTrue, {boolean, column_major})};
   const Instruction bool_type = make(kOpTypeBool, {boolean});

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "compiler/target/profile.h"
+#include "ir/package/rank.h"
 
 namespace shale {
 namespace {
@@ -39,7 +40,8 @@ WorkTable work_ns(std::initializer_list<std::pair<Work, double>> list) {
 
 /// A class of GPUs: what any has, and `more`. Rates are assumed, for ranking kernels only.
 DeviceProfile gpu_with(std::string_view name, std::string_view help, DeviceClass device_class,
-                       FeatureSet more, WorkTable more_ns = {}) {
+                       FeatureSet more, WorkTable more_ns = {},
+                       std::vector<MatrixProduct> products = {}) {
   DeviceProfile profile{
       .name = name,
       .help = help,
@@ -60,7 +62,8 @@ DeviceProfile gpu_with(std::string_view name, std::string_view help, DeviceClass
                .max_storage_buffers = 16,
                .max_texel_buffers = 16,
                .max_storage_images = 8,
-               .subgroup_size = 32},
+               .subgroup_size = 32,
+               .matrix_products = std::move(products)},
       .ns = work_ns({{Work::kDispatch, 5000},
                      {Work::kGenericMac, 0.02},
                      {Work::kGenericResult, 0.05},
@@ -125,7 +128,7 @@ const std::vector<DeviceProfile>& profiles() {
           "coopmat-gpu",
           "a GPU with int8 cooperative matrices of 16x16x32 in subgroups of 32 (not run on one)",
           DeviceClass::kMatrixGpu, features({Feature::kDotProduct8, Feature::kCooperativeMatrix}),
-          work_ns({{Work::kDotMac, 0.002}, {Work::kMatrixMac, 0.0008}})),
+          work_ns({{Work::kDotMac, 0.002}, {Work::kMatrixMac, 0.0008}}), {{16, 16, 32}}),
   };
   return table;
 }
@@ -149,6 +152,15 @@ const DeviceProfile* find_profile(std::string_view name) {
   for (const DeviceProfile& profile : profiles())
     if (profile.name == name) return &profile;
   return nullptr;
+}
+
+DeviceProfile profile_from_caps(const DeviceCaps& caps) {
+  const auto same_class = [&](const DeviceProfile& profile) {
+    return profile.device_class == device_class(caps);
+  };
+  DeviceProfile profile = *std::find_if(profiles().begin(), profiles().end(), same_class);
+  profile.caps = caps;
+  return profile;
 }
 
 }  // namespace shale

@@ -71,4 +71,8 @@ struct DeviceProfile {
 std::span<const DeviceProfile> known_profiles();
 const DeviceProfile* find_profile(std::string_view name);
 
+/// The profile of the device's class (device_class), under its name and with its constants, for the
+/// capabilities that the device really has.
+DeviceProfile profile_from_caps(const DeviceCaps& caps);
+
 }  // namespace shale

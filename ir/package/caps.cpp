@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 
 namespace shale {
@@ -31,6 +32,10 @@ const char* device_class_name(DeviceClass device_class) {
   return kDeviceClassNames[static_cast<uint32_t>(device_class)];
 }
 
+std::string matrix_product_text(const MatrixProduct& product) {
+  return fmt::format("{}x{}x{}", product.m, product.n, product.k);
+}
+
 std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& requirements) {
   std::vector<std::string> lines;
   for (uint32_t i = 0; i < kFeatureCount; ++i) {
@@ -52,6 +57,14 @@ std::vector<std::string> missing(const DeviceCaps& caps, const Requirements& req
            requirements.texel_buffers);
   at_least("maxPerStageDescriptorStorageImages", caps.max_storage_images,
            requirements.storage_images);
+  if (requirements.subgroup_size != 0 && caps.subgroup_size != requirements.subgroup_size)
+    lines.push_back(fmt::format("subgroupSize is {}, needs {}", caps.subgroup_size,
+                                requirements.subgroup_size));
+  for (const MatrixProduct& product : requirements.matrix_products)
+    if (std::find(caps.matrix_products.begin(), caps.matrix_products.end(), product) ==
+        caps.matrix_products.end())
+      lines.push_back(fmt::format("cooperative matrices of {} int8 are not supported",
+                                  matrix_product_text(product)));
   return lines;
 }
 

@@ -16,8 +16,8 @@ enum class Feature : uint32_t {
   kInt64 = 4,            ///< shaderInt64
   kFloat16 = 5,          ///< shaderFloat16
   kDotProduct8 = 6,      ///< shaderIntegerDotProduct
-  /// VK_KHR_cooperative_matrix with products of 16x32 by 32x16 int8 into int32, in subgroups of 32;
-  /// and vulkanMemoryModel, which modules with such products have to use
+  /// VK_KHR_cooperative_matrix with the products that DeviceCaps::matrix_products lists; and
+  /// vulkanMemoryModel, which modules with such products have to use
   kCooperativeMatrix = 7,
   kFloat64 = 8,  ///< shaderFloat64
   /// shaderStorageImageExtendedFormats: storage images of the formats that every device need not
@@ -48,6 +48,14 @@ inline constexpr uint32_t kDeviceClassCount = 4;
 /// As `shale dump` writes it: "dot8-gpu".
 const char* device_class_name(DeviceClass device_class);
 
+/// A product that a subgroup computes: m x k int8 times k x n int8, added to m x n int32.
+struct MatrixProduct {
+  uint32_t m = 0, n = 0, k = 0;
+  auto operator<=>(const MatrixProduct&) const = default;
+};
+/// "16x16x32", in the order m, n, k.
+std::string matrix_product_text(const MatrixProduct& product);
+
 /// Snapshot of a device, taken by runtime/vk or written down in compiler/target; no handles.
 struct DeviceCaps {
   std::string name;          ///< VkPhysicalDeviceProperties::deviceName
@@ -66,6 +74,9 @@ struct DeviceCaps {
                                      ///< samplers count there
   uint32_t max_storage_images = 0;   ///< per stage
   uint32_t subgroup_size = 0;
+  /// Signed, not saturating, of subgroups; ascending. Empty without kCooperativeMatrix.
+  std::vector<MatrixProduct> matrix_products = {};
+  bool operator==(const DeviceCaps&) const = default;
 };
 
 /// What a variant needs. Filled from the SPIR-V words and the dispatches, never by hand.
@@ -78,6 +89,8 @@ struct Requirements {
   uint32_t storage_buffers = 0;      ///< most in one dispatch
   uint32_t texel_buffers = 0;        ///< most in one dispatch, all sampled images included
   uint32_t storage_images = 0;       ///< most in one dispatch
+  uint32_t subgroup_size = 0;        ///< of modules with matrix products; 0 is any
+  std::vector<MatrixProduct> matrix_products = {};  ///< those of the modules, ascending
   bool operator==(const Requirements&) const = default;
 };
 

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <set>
 
 #include "ir/package/package.h"
@@ -349,6 +350,14 @@ Result<void> check_requirements(const std::string& where, const Variant& variant
   if (variant.requirements.features.bits >> kFeatureCount)
     return bad_input(where, "feature bits {:#x} do not exist",
                      variant.requirements.features.bits >> kFeatureCount << kFeatureCount);
+  const std::vector<MatrixProduct>& products = variant.requirements.matrix_products;
+  if (products.empty() == variant.requirements.features.has(Feature::kCooperativeMatrix))
+    return bad_input(where, "requirements name {} products of matrices, and {} {}", products.size(),
+                     products.empty() ? "need" : "do not need",
+                     feature_name(Feature::kCooperativeMatrix));
+  if (std::adjacent_find(products.begin(), products.end(), std::greater_equal<>()) !=
+      products.end())
+    return bad_input(where, "requirements name products of matrices out of order");
   const Requirements bindings = binding_requirements(variant);
   Result<void> result;
   const auto covers = [&](const char* what, uint64_t stated, uint64_t used) {

@@ -36,6 +36,9 @@ void dump_requirements(std::string& text, const Requirements& r) {
        "    in one dispatch {} storage buffers, {} texel buffers and sampled images, "
        "{} storage images",
        r.storage_buffers, r.texel_buffers, r.storage_images);
+  for (const MatrixProduct& product : r.matrix_products)
+    line(text, "    cooperative matrices of {} int8 in subgroups of {}",
+         matrix_product_text(product), r.subgroup_size);
 }
 
 void dump_resource(std::string& text, size_t index, const Resource& r) {

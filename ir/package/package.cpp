@@ -118,9 +118,14 @@ Offset<fbs::View> write_view(Builder& builder, const View& v) {
 Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto target = builder.CreateString(v.target);
   const Requirements& r = v.requirements;
+  std::vector<fbs::MatrixProduct> products;
+  for (const MatrixProduct& p : r.matrix_products) products.emplace_back(p.m, p.n, p.k);
+  const auto matrix_products =
+      products.empty() ? 0 : builder.CreateVectorOfStructs(products.data(), products.size());
   const auto requirements = fbs::CreateRequirements(
       builder, r.features.bits, r.workgroup_invocations, r.shared_bytes, r.storage_range_bytes,
-      r.texel_elements, r.storage_buffers, r.texel_buffers, r.storage_images);
+      r.texel_elements, r.storage_buffers, r.texel_buffers, r.storage_images, r.subgroup_size,
+      matrix_products);
   const auto resources = write_all<fbs::Resource>(builder, v.resources, write_resource);
   const auto segments = write_all<fbs::Segment>(builder, v.segments, write_segment);
   const auto modules = write_all<fbs::Module>(builder, v.modules, write_module);
@@ -152,6 +157,13 @@ class Copier {
   std::vector<T> scalars(const Vector<T>* vector) {
     if (!vector || !pay(vector->size() * sizeof(T))) return {};
     return std::vector<T>(vector->data(), vector->data() + vector->size());
+  }
+
+  std::vector<MatrixProduct> products(const Vector<const fbs::MatrixProduct*>* vector) {
+    std::vector<MatrixProduct> values;
+    if (!vector || !pay(vector->size() * sizeof(fbs::MatrixProduct))) return values;
+    for (const fbs::MatrixProduct* p : *vector) values.push_back({p->m(), p->n(), p->k()});
+    return values;
   }
 
   std::vector<std::string> texts(const Vector<Offset<flatbuffers::String>>* vector) {
@@ -276,7 +288,9 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
                           .texel_elements = r.texel_elements(),
                           .storage_buffers = r.storage_buffers(),
                           .texel_buffers = r.texel_buffers(),
-                          .storage_images = r.storage_images()};
+                          .storage_images = r.storage_images(),
+                          .subgroup_size = r.subgroup_size(),
+                          .matrix_products = copy.products(r.matrix_products())};
   variant.arena_bytes = v.arena_bytes();
   variant.resources = copy.tables(v.resources(), read_resource);
   variant.segments = copy.tables(v.segments(), read_segment);
@@ -296,6 +310,10 @@ void complete_old(Variant& variant) {
                                                         {"coopmat-gpu", DeviceClass::kMatrixGpu}};
   if (const auto found = classes.find(variant.target); found != classes.end())
     variant.device_class = found->second;
+  if (variant.requirements.features.has(Feature::kCooperativeMatrix)) {
+    variant.requirements.subgroup_size = 32;
+    variant.requirements.matrix_products = {{16, 16, 32}};
+  }
   for (const Segment& segment : variant.segments)
     for (const Dispatch& dispatch : segment.dispatches)
       for (const Binding& binding : dispatch.bindings) {

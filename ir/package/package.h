@@ -277,7 +277,7 @@ struct Provenance {
 
 struct Package {
   Provenance provenance;
-  std::vector<Variant> variants;  ///< the runtime takes the first that the device meets
+  std::vector<Variant> variants;  ///< the runtime takes the best that the device meets: rank.h
   std::vector<uint8_t> weights;   ///< shared by the variants
   bool operator==(const Package&) const = default;
 };
@@ -306,8 +306,9 @@ std::vector<uint8_t> write_package(const Package& package);
 
 /// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum
 /// values, then check_package. Memory and time are bounded by the length of the file. What files
-/// before 1.4 do not say is filled in: the device class from the target's name, the program
-/// "frame", Feature::kStorageImageExtended where storage images need it.
+/// before 1.4 do not say is filled in: the device class from the target's name, the program "frame",
+/// matrices of 16x16x32 in subgroups of 32 for Feature::kCooperativeMatrix,
+/// Feature::kStorageImageExtended where storage images need it.
 /// Errors: kBadInput (or kUnsupported for a newer major version), naming what and where.
 Result<Package> read_package(std::span<const uint8_t> bytes);
 

@@ -7,6 +7,7 @@
 #include <numeric>
 
 #include "ir/base/parallel.h"
+#include "ir/package/rank.h"
 #include "runtime/vk/commands.h"
 
 namespace shale {
@@ -105,12 +106,10 @@ Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spi
 
 Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps) {
   std::string reasons;
-  for (uint32_t i = 0; i < package.variants.size(); ++i) {
-    const Variant& variant = package.variants[i];
-    const std::vector<std::string> lines = missing(caps, variant.requirements);
-    if (lines.empty()) return i;
-    reasons += fmt::format("{} variant {} \"{}\": {}", i ? ";" : "", i, variant.target,
-                           fmt::join(lines, ", "));
+  for (const RankedVariant& ranked : rank_variants(package.variants, caps)) {
+    if (ranked.missing.empty()) return ranked.index;
+    reasons += fmt::format("{} variant {} \"{}\": {}", reasons.empty() ? "" : ";", ranked.index,
+                           package.variants[ranked.index].target, fmt::join(ranked.missing, ", "));
   }
   return device_error(caps.name, "runs no variant of the package:{}", reasons);
 }

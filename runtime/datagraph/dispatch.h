@@ -43,7 +43,7 @@ using Selection = std::function<Result<std::vector<std::span<const Segment>>>(co
 /// One variant of a package on a device. Its address is kept by what is made from it.
 class Kernels {
  public:
-  /// Takes the first variant that the device meets, creates one pipeline per unique module and
+  /// Takes the best variant that the device meets (rank.h), creates one pipeline per unique module and
   /// descriptor layout, on all cores, and gets the weights ready. `cache` may be VK_NULL_HANDLE.
   /// Submits nothing.
   /// Errors: kBadInput (check_package), those of `select`, kDevice (no variant fits, telling why
@@ -142,7 +142,7 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<co
 /// Errors: kBadInput if there are timestamps of fewer intervals than steps.
 Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps);
 
-/// Index of the first variant that a device with `caps` can run.
+/// Index of the best variant that a device with `caps` can run.
 /// Errors: kDevice, telling what is missing for each variant.
 Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps);
 

@@ -28,7 +28,7 @@ struct DataGraphPipelineOptions {
 /// must outlive it. May be used from many threads.
 class DataGraphPipeline {
  public:
-  /// Takes the first variant that the device meets; `package` may go afterwards. Submits nothing.
+  /// Takes the best variant that the device meets (rank.h); `package` may go afterwards. Submits nothing.
   /// Errors: kBadInput if check_package refuses the package, or the variant has no such graph, or
   /// several and none is named; kUnsupported if the graph has histories, which only frame loops
   /// keep; kDevice if the device meets no variant (what is missing is told for each), is out of

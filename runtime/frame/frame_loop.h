@@ -72,7 +72,7 @@ struct MemoryUse {
 /// last one; hence images may be bound between any two records.
 class FrameLoop {
  public:
-  /// Takes the first variant that the device meets; `package` may go afterwards. Uses no queue.
+  /// Takes the best variant that the device meets (rank.h); `package` may go afterwards. Uses no queue.
   /// Errors: kBadInput if check_package refuses the package or the options are out of range;
   /// kDevice if the device meets no variant (what is missing is told for each), lacks an image
   /// format, is out of memory, or refuses a shader.

@@ -24,18 +24,19 @@ bool has_extension(const Functions& vk, VkPhysicalDevice device) {
 
 }  // namespace
 
-bool has_int8_product(std::span<const CooperativeMatrixProduct> products, uint32_t subgroup_size) {
-  return subgroup_size == 32 &&
-         std::any_of(products.begin(), products.end(), [](const CooperativeMatrixProduct& p) {
-           return p.m == 16 && p.n == 16 && p.k == 32 && p.a == kComponentSint8 &&
-                  p.b == kComponentSint8 && p.c == kComponentSint32 &&
-                  p.result == kComponentSint32 && !p.saturates && p.scope == kScopeSubgroup;
-         });
+std::vector<MatrixProduct> int8_products(std::span<const CooperativeMatrixProduct> products) {
+  std::vector<MatrixProduct> found;
+  for (const CooperativeMatrixProduct& p : products)
+    if (p.a == kComponentSint8 && p.b == kComponentSint8 && p.c == kComponentSint32 &&
+        p.result == kComponentSint32 && !p.saturates && p.scope == kScopeSubgroup)
+      found.push_back({p.m, p.n, p.k});
+  std::sort(found.begin(), found.end());
+  found.erase(std::unique(found.begin(), found.end()), found.end());
+  return found;
 }
 
-bool supports_cooperative_matrices(const Functions& vk, VkPhysicalDevice device,
-                                   uint32_t subgroup_size) {
-  if (!has_extension(vk, device)) return false;
+std::vector<MatrixProduct> int8_products(const Functions& vk, VkPhysicalDevice device) {
+  if (!has_extension(vk, device)) return {};
   CooperativeMatrixFeatures matrices;
   auto features = init<VkPhysicalDeviceFeatures2>(VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2);
   features.pNext = &matrices;
@@ -49,13 +50,13 @@ bool supports_cooperative_matrices(const Functions& vk, VkPhysicalDevice device,
       vk.GetInstanceProcAddr(vk.instance, "vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR"));
   if (!matrices.cooperative_matrix || !(stages.stages & VK_SHADER_STAGE_COMPUTE_BIT) ||
       !get_products)
-    return false;
+    return {};
   uint32_t count = 0;
-  if (get_products(device, &count, nullptr) != VK_SUCCESS) return false;
+  if (get_products(device, &count, nullptr) != VK_SUCCESS) return {};
   std::vector<CooperativeMatrixProduct> products(count);
-  if (get_products(device, &count, products.data()) != VK_SUCCESS) return false;
+  if (get_products(device, &count, products.data()) != VK_SUCCESS) return {};
   products.resize(count);
-  return has_int8_product(products, subgroup_size);
+  return int8_products(products);
 }
 
 }  // namespace shale::vk

@@ -1,11 +1,14 @@
 // runtime/vk/cooperative_matrix.h -- VK_KHR_cooperative_matrix, which Vulkan headers 1.3.239 do not
-// have: the parts that are needed, under names of our own. Not run on hardware.
+// have: the parts that are needed, under names of our own.
 #pragma once
 
 #include <vulkan/vulkan.h>
 
 #include <cstdint>
 #include <span>
+#include <vector>
+
+#include "ir/package/caps.h"
 
 #include "runtime/vk/functions.h"
 
@@ -39,12 +42,10 @@ struct CooperativeMatrixProduct {
 };
 inline constexpr uint32_t kComponentSint8 = 3, kComponentSint32 = 5, kScopeSubgroup = 3;
 
-/// True if one of the products is that of Feature::kCooperativeMatrix, in subgroups of the size
-/// that kernels of conv2d_s8_coopmat have.
-bool has_int8_product(std::span<const CooperativeMatrixProduct> products, uint32_t subgroup_size);
+/// Those of them that DeviceCaps::matrix_products may list.
+std::vector<MatrixProduct> int8_products(std::span<const CooperativeMatrixProduct> products);
 
-/// Asks the device; false wherever it does not know the extension.
-bool supports_cooperative_matrices(const Functions& vk, VkPhysicalDevice device,
-                                   uint32_t subgroup_size);
+/// Asks the device; empty wherever it does not know the extension.
+std::vector<MatrixProduct> int8_products(const Functions& vk, VkPhysicalDevice device);
 
 }  // namespace shale::vk

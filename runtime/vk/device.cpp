@@ -94,9 +94,9 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device, const Functions& vk) {
   caps.max_texel_buffers = limits.maxPerStageDescriptorSampledImages;
   caps.max_storage_images = limits.maxPerStageDescriptorStorageImages;
   caps.subgroup_size = v11.subgroupSize;
-  if (features.v12.vulkanMemoryModel &&  // modules with matrices have to use it
-      supports_cooperative_matrices(vk, device, caps.subgroup_size))
-    caps.features.add(Feature::kCooperativeMatrix);
+  if (features.v12.vulkanMemoryModel)  // modules with matrices have to use it
+    caps.matrix_products = int8_products(vk, device);
+  if (!caps.matrix_products.empty()) caps.features.add(Feature::kCooperativeMatrix);
   return caps;
 }
 

@@ -1,6 +1,7 @@
-// conv2d_s8_coopmat on machines without cooperative matrices: its modules are read word by word,
+// conv2d_s8_coopmat for matrices of every shape that GPUs report: its modules are read word by word,
 // and all of its code but the matrix instructions runs on whatever device is there, those replaced
-// by loops of the same meaning (SHALE_PLAIN_MATRICES), bit for bit against the interpreter.
+// by loops of the same meaning (SHALE_PLAIN_MATRICES), bit for bit against the interpreter. Where
+// the device has cooperative matrices, the kernel runs as it is.
 #include <gtest/gtest.h>
 
 #include <map>
@@ -14,6 +15,7 @@
 #include "ir/base/file.h"
 #include "tests/compiler/conv_case.h"
 #include "tests/compiler/graph_support.h"
+#include "tests/support/source_folder.h"
 #include "tools/shale/device_run.h"
 
 namespace shale {
@@ -21,16 +23,32 @@ namespace {
 
 constexpr const char* kKernel = "conv2d_s8_coopmat";
 
-Compiled compiled_for_matrices(const Graph& graph, std::vector<std::string> kernels) {
+/// Matrix products that a device has, and its subgroups.
+struct Matrices {
+  std::vector<MatrixProduct> products;
+  uint32_t subgroup = 32;
+};
+
+/// A GPU with those.
+DeviceProfile profile_with(const Matrices& matrices) {
+  DeviceProfile profile = *find_profile("coopmat-gpu");
+  profile.caps.matrix_products = matrices.products;
+  profile.caps.subgroup_size = matrices.subgroup;
+  return profile;
+}
+
+Compiled compiled_for_matrices(const Graph& graph, std::vector<std::string> kernels,
+                               const Matrices& matrices = {{{16, 16, 32}}}) {
   CompileOptions options;
   options.targets = {"coopmat-gpu"};
+  options.profiles.emplace("coopmat-gpu", profile_with(matrices));
   options.kernels = std::move(kernels);
   options.optimize_spirv = false;
   return must(compile_graph(graph, 0, options));
 }
 
 /// The package with plain loops in place of matrix instructions; the number of modules replaced.
-size_t replace_matrices(Compiled& compiled) {
+size_t replace_matrices(Compiled& compiled, const Matrices& matrices = {{{16, 16, 32}}}) {
   Variant& variant = compiled.package.variants[0];
   size_t replaced = 0, next = 0;
   for (Group& group : collect_groups(compiled.graph)) {
@@ -38,7 +56,7 @@ size_t replace_matrices(Compiled& compiled) {
     if (dispatch.kernel != kKernel) continue;
     GroupProblem problem{
         .graph = &compiled.graph, .group = std::move(group), .proof = {}, .cost = {}};
-    const auto sources = must(conv2d_coopmat_emit(problem, *find_profile("coopmat-gpu")));
+    const auto sources = must(conv2d_coopmat_emit(problem, profile_with(matrices)));
     EXPECT_EQ(sources.size(), 1u);
     variant.modules[dispatch.module] =
         must(compile_glsl(sources[0].glsl, {{"SHALE_PLAIN_MATRICES", "1"}}, dispatch.name));
@@ -47,10 +65,20 @@ size_t replace_matrices(Compiled& compiled) {
     ++replaced;
   }
   variant.requirements.features.bits &= ~(1u << static_cast<uint32_t>(Feature::kCooperativeMatrix));
+  variant.requirements.matrix_products.clear();
+  variant.requirements.subgroup_size = 0;
   return replaced;
 }
 
-class Coopmat : public testing::TestWithParam<ConvCase> {
+/// Shapes and subgroups that drivers report or might: NVIDIA's, AMD's (subgroups of 64), Intel's of
+/// two generations, lavapipe's, and others for the rule's sake.
+const Matrices kShapes[] = {
+    {{{16, 16, 32}}, 32}, {{{16, 8, 32}}, 32}, {{{16, 16, 16}}, 64}, {{{8, 8, 32}}, 8},
+    {{{8, 16, 32}}, 16},  {{{8, 8, 8}}, 8},    {{{4, 4, 4}}, 16},    {{{64, 64, 32}}, 64},
+    {{{32, 8, 16}}, 32},  {{{6, 12, 20}}, 8},  {{{16, 32, 64}}, 32},
+};
+
+class Coopmat : public testing::TestWithParam<std::tuple<size_t, ConvCase>> {
  protected:
   static void SetUpTestSuite() {
     Result<ToolDevice> device = ToolDevice::open({.name = {}, .cache = {}, .validation = true});
@@ -81,11 +109,50 @@ class Coopmat : public testing::TestWithParam<ConvCase> {
 };
 
 TEST_P(Coopmat, MatchesTheInterpreterButForTheMatrixInstructions) {
-  const Graph graph = GetParam().graph();
-  Compiled compiled = compiled_for_matrices(graph, {kKernel});
+  const auto& [shape, row] = GetParam();
+  const Graph graph = row.graph();
+  Compiled compiled = compiled_for_matrices(graph, {kKernel}, kShapes[shape]);
   EXPECT_EQ(compiled.warnings, std::vector<std::string>());
-  ASSERT_EQ(replace_matrices(compiled), 1u);
+  const Requirements& needs = compiled.package.variants[0].requirements;
+  EXPECT_EQ(needs.matrix_products, kShapes[shape].products);
+  EXPECT_EQ(needs.subgroup_size, kShapes[shape].subgroup);
+  ASSERT_EQ(replace_matrices(compiled, kShapes[shape]), 1u);
   for (const uint64_t seed : {1u, 2u}) expect_exact(compiled, graph, seed);
+}
+
+class OwnMatrices : public Coopmat {};
+
+TEST_P(OwnMatrices, MatchTheInterpreter) {
+  if (!device_) GTEST_SKIP() << "no Vulkan device";
+  const DeviceCaps& caps = device_->context().caps;
+  if (caps.matrix_products.empty()) GTEST_SKIP() << caps.name << " has no cooperative matrices";
+  const Graph graph = std::get<1>(GetParam()).graph();
+  for (const MatrixProduct& product : caps.matrix_products) {
+    Compiled compiled = compiled_for_matrices(graph, {kKernel}, {{product}, caps.subgroup_size});
+    ASSERT_EQ(compiled.package.variants[0].segments[0].dispatches[0].kernel, kKernel);
+    for (const uint64_t seed : {1u, 2u}) expect_exact(compiled, graph, seed);
+  }
+}
+
+TEST_F(Coopmat, ChoosesTheShapeThatIsFilledBest) {
+  const auto chosen = [](const ConvCase& row, const Matrices& matrices) {
+    const Compiled compiled = compiled_for_matrices(row.graph(), {kKernel}, matrices);
+    const std::vector<MatrixProduct>& products =
+        compiled.package.variants[0].requirements.matrix_products;
+    return products.size() == 1 ? matrix_product_text(products[0]) : "not one";
+  };
+  const Matrices nvidia{{{16, 8, 32}, {16, 16, 32}}, 32};
+  // As well filled: the larger one. 24 channels are three blocks of 8, or two of 16.
+  EXPECT_EQ(chosen({.name = "", .w = 32, .ic = 32, .oc = 32}, nvidia), "16x16x32");
+  EXPECT_EQ(chosen({.name = "", .w = 32, .ic = 32, .oc = 24}, nvidia), "16x8x32");
+  // What no word of four channels fits, or no shared memory, is left.
+  EXPECT_EQ(chosen({.name = "", .ic = 32, .oc = 16}, {{{4, 6, 8}, {8, 8, 9}, {16, 16, 16}}, 32}),
+            "16x16x16");
+  EXPECT_EQ(chosen({.name = "", .ic = 32, .oc = 16}, {{{16, 16, 16}, {128, 128, 128}}, 32}),
+            "16x16x16");
+  const Compiled none = compiled_for_matrices(ConvCase{.name = "", .oc = 16}.graph(), {kKernel},
+                                              {{{0, 16, 16}, {16, 16, 2048}, {8, 8, 2}}, 32});
+  EXPECT_EQ(none.package.variants[0].segments[0].dispatches[0].kernel, "generic");
 }
 
 /// Every edge of the other kernels with enough channels, and the edges of this one.
@@ -126,14 +193,25 @@ std::vector<ConvCase> cases() {
   return rows;
 }
 
-INSTANTIATE_TEST_SUITE_P(Edges, Coopmat, testing::ValuesIn(cases()),
-                         [](const testing::TestParamInfo<ConvCase>& test) {
-                           return replaced(test.param.name, "-", "minus");
+std::string case_name(const testing::TestParamInfo<std::tuple<size_t, ConvCase>>& test) {
+  const Matrices& matrices = kShapes[std::get<0>(test.param)];
+  return matrix_product_text(matrices.products[0]) + "_" + std::to_string(matrices.subgroup) + "_" +
+         replaced(std::get<1>(test.param).name, "-", "minus");
+}
+
+INSTANTIATE_TEST_SUITE_P(Edges, Coopmat,
+                         testing::Combine(testing::Range(size_t{0}, std::size(kShapes)),
+                                          testing::ValuesIn(cases())),
+                         case_name);
+INSTANTIATE_TEST_SUITE_P(Edges, OwnMatrices,
+                         testing::Combine(testing::Values(size_t{0}), testing::ValuesIn(cases())),
+                         [](const testing::TestParamInfo<OwnMatrices::ParamType>& test) {
+                           return replaced(std::get<1>(test.param).name, "-", "minus");
                          });
 
 TEST_F(Coopmat, NssTakesFourteenDispatchesThirteenOfMatrices) {
   const std::vector<uint8_t> bytes =
-      must(read_file(SHALE_SOURCE_DIR "/models/nss_v1_high/model.tosa"));
+      must(read_file(source_folder() + "/models/nss_v1_high/model.tosa"));
   CompileOptions options;
   options.targets = {"coopmat-gpu"};
   options.passes.input_shapes["input"] = {1, 32, 40, 12};
@@ -197,6 +275,8 @@ TEST(CoopmatModule, HasTheInstructionsOfTheExtension) {
   EXPECT_TRUE(capabilities.contains(5345));  // VulkanMemoryModel
   std::set<std::vector<uint32_t>> kinds;
   for (const auto& [id, kind] : matrices) kinds.insert(kind);
+  EXPECT_EQ(must(spirv_needs(words, "m")).matrix_products,
+            (std::vector<MatrixProduct>{{16, 16, 32}}));
   // Bits, signed, scope subgroup, rows, columns, use.
   const std::vector<uint32_t> a{8, 1, 3, 16, 32, 0}, b{8, 1, 3, 32, 16, 1}, c{32, 1, 3, 16, 16, 2};
   EXPECT_EQ(kinds, (std::set<std::vector<uint32_t>>{a, b, c}));

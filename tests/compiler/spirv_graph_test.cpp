@@ -1504,7 +1504,7 @@ TEST(SpirvGraph, ReadsModulesOfOtherProducers) {
   return %out0
 }
 )");
-  const auto mixed = modules_in(must(read_file(folder + "compute_graph_compute_sequence.vgf")));
+  const auto mixed = modules_in(must(read_file(SHALE_SOURCE_DIR "/tests/golden/vgf/compute_graph_compute_sequence.vgf")));
   ASSERT_EQ(mixed.size(), 2u);
   EXPECT_EQ(outcome(mixed[0]), R"(graph main {
   input %a : i8[1,4,4,8]

@@ -6,6 +6,7 @@
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
 #include "tests/compiler/graph_support.h"
+#include "tests/support/source_folder.h"
 #include "tools/shale/device_run.h"
 
 namespace shale {
@@ -25,7 +26,7 @@ class GpuTarget : public testing::TestWithParam<Network> {};
 TEST_P(GpuTarget, ComputesWhatTheInterpreterDoesInADispatchPerConvolution) {
   const Network& network = GetParam();
   const std::vector<uint8_t> bytes =
-      must(read_file(std::string(SHALE_SOURCE_DIR) + "/models/" + network.name + "/model.tosa"));
+      must(read_file(source_folder() + "/models/" + network.name + "/model.tosa"));
   CompileOptions options;
   options.targets = {"dot8-gpu"};
   options.passes.input_shapes["input"] = network.input;

@@ -11,6 +11,7 @@
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
 #include "ir/text/text.h"
+#include "tests/support/source_folder.h"
 #include "tests/support/vulkan_fixture.h"
 #include "tools/eval/sequence.h"
 #include "tools/eval/tonemap.h"
@@ -127,7 +128,7 @@ class SandwichTest : public testing::Test {
                                            Extent output) {
     return player_of(models() + kind.model, stand_in(kind, seed), render, output);
   }
-  static std::string models() { return SHALE_SOURCE_DIR "/models/"; }
+  static std::string models() { return source_folder() + "/models/"; }
 
   static ToolDevice* device_;
 };

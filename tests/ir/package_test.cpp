@@ -337,6 +337,26 @@ TEST(OldPackages, NeedTheFormatsThatTheyStore) {
   EXPECT_EQ(old->variants[0].requirements, v.requirements);
 }
 
+TEST(OldPackages, HadMatricesOfOneShape) {
+  Package package = sample_package();
+  Requirements& needs = package.variants[0].requirements;
+  needs.features.add(Feature::kCooperativeMatrix);
+  needs.subgroup_size = 64;
+  needs.matrix_products = {{8, 8, 32}, {16, 16, 16}};
+  std::vector<uint8_t> bytes = write_package(package);
+  const Result<Package> same = read_package(bytes);
+  ASSERT_TRUE(same) << same.error().text();
+  EXPECT_EQ(same->variants[0].requirements, needs);
+  EXPECT_NE(dump_package(*same).find("matrices of 16x16x16 int8 in subgroups of 64"),
+            std::string::npos);
+  set_minor(bytes, 3);
+  const Result<Package> old = read_package(bytes);
+  ASSERT_TRUE(old) << old.error().text();
+  needs.subgroup_size = 32;
+  needs.matrix_products = {{16, 16, 32}};
+  EXPECT_EQ(old->variants[0].requirements, needs);
+}
+
 struct BadPackage {
   const char* name;
   std::function<void(Package&)> damage;
@@ -608,6 +628,18 @@ const BadPackage kBadPackages[] = {
      "variant 0: texel_elements is 511, the bindings need 512"},
     {"UnderstatedImages", [](Package& p) { variant(p).requirements.storage_images = 1; },
      "variant 0: storage_images is 1, the bindings need 2"},
+    {"MatricesWithoutFeature",
+     [](Package& p) { variant(p).requirements.matrix_products = {{16, 16, 32}}; },
+     "variant 0: requirements name 1 products of matrices, and do not need cooperativeMatrix"},
+    {"FeatureWithoutMatrices",
+     [](Package& p) { variant(p).requirements.features.add(Feature::kCooperativeMatrix); },
+     "variant 0: requirements name 0 products of matrices, and need cooperativeMatrix"},
+    {"MatricesOutOfOrder",
+     [](Package& p) {
+       variant(p).requirements.features.add(Feature::kCooperativeMatrix);
+       variant(p).requirements.matrix_products = {{16, 16, 32}, {16, 16, 32}};
+     },
+     "variant 0: requirements name products of matrices out of order"},
 };
 
 INSTANTIATE_TEST_SUITE_P(Package, EveryBadPackage, testing::ValuesIn(kBadPackages),

@@ -31,7 +31,7 @@ TEST_F(Device, CapsAreFilled) {
   EXPECT_GE(caps.subgroup_size, 1u);
 }
 
-TEST(CooperativeMatrix, OneProductInSubgroupsOf32Counts) {
+TEST(CooperativeMatrix, ProductsOfInt8InSubgroupsCount) {
   const vk::CooperativeMatrixProduct wanted{.m = 16,
                                             .n = 16,
                                             .k = 32,
@@ -42,18 +42,18 @@ TEST(CooperativeMatrix, OneProductInSubgroupsOf32Counts) {
                                             .scope = vk::kScopeSubgroup};
   vk::CooperativeMatrixProduct other = wanted;
   other.k = 16;
-  EXPECT_TRUE(vk::has_int8_product(std::array{other, wanted}, 32));
-  EXPECT_FALSE(vk::has_int8_product(std::array{other, wanted}, 64));
-  EXPECT_FALSE(vk::has_int8_product(std::array{other}, 32));
-  EXPECT_FALSE(vk::has_int8_product({}, 32));
+  // Ascending, each once.
+  EXPECT_EQ(vk::int8_products(std::array{wanted, other, wanted}),
+            (std::vector<MatrixProduct>{{16, 16, 16}, {16, 16, 32}}));
+  EXPECT_EQ(vk::int8_products(std::span<const vk::CooperativeMatrixProduct>()),
+            std::vector<MatrixProduct>());
   for (uint32_t vk::CooperativeMatrixProduct::*member :
-       {&vk::CooperativeMatrixProduct::m, &vk::CooperativeMatrixProduct::n,
-        &vk::CooperativeMatrixProduct::a, &vk::CooperativeMatrixProduct::b,
+       {&vk::CooperativeMatrixProduct::a, &vk::CooperativeMatrixProduct::b,
         &vk::CooperativeMatrixProduct::c, &vk::CooperativeMatrixProduct::result,
         &vk::CooperativeMatrixProduct::saturates, &vk::CooperativeMatrixProduct::scope}) {
     vk::CooperativeMatrixProduct changed = wanted;
     changed.*member += 1;
-    EXPECT_FALSE(vk::has_int8_product(std::array{changed}, 32));
+    EXPECT_EQ(vk::int8_products(std::array{changed}), std::vector<MatrixProduct>());
   }
 }
 

@@ -269,7 +269,7 @@ Action add_bench(CLI::App& app) {
                "measure the generic kernels too, once, and compare the results");
   app.add_flag("--start", arguments->start,
                "measure two starts: with empty caches, and with what the first one left");
-  arguments->compile.add_to(app);
+  arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--markdown", arguments->markdown, "print Markdown tables");
   app.add_flag("--json", arguments->json, "print the result as JSON");

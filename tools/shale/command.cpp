@@ -3,14 +3,19 @@
 #include <charconv>
 #include <cmath>
 #include <filesystem>
+#include <set>
 
+#include "compiler/target/caps_json.h"
 #include "ir/base/file.h"
 #include "ir/text/text.h"
+#include "tools/shale/device_run.h"
 
 namespace shale {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr const char* kDefaultTarget = "lavapipe";
 
 }  // namespace
 
@@ -204,12 +209,17 @@ Result<Graph> import_graph(std::span<const uint8_t> bytes, const ImportOptions& 
   return graph;
 }
 
-void CompileArguments::add_to(CLI::App& app) {
+void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_hand) {
+  device = device_at_hand;
   import.add_to(app);
   std::string known;
   for (const DeviceProfile& profile : known_profiles())
     known += (known.empty() ? "" : ", ") + std::string(profile.name);
-  app.add_option("--target", targets, "device classes, a variant each: " + known)
+  app.add_option("--target", targets,
+                 fmt::format("device classes, a variant each: {}; all of them by \"all\"; "
+                             "\"device\", the device at hand; a file of shale doctor --json, the "
+                             "device in it (default: {})",
+                             known, device ? "device" : kDefaultTarget))
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");
@@ -242,9 +252,36 @@ void CompileArguments::add_to(CLI::App& app) {
   app.add_flag("--no-spirv-opt", no_spirv_opt, "leave the shaders as glslang made them");
 }
 
+Result<void> CompileArguments::add_targets(CompileOptions& options) const {
+  options.targets.clear();
+  std::vector<std::string> wanted = targets;
+  if (wanted.empty()) wanted.push_back(device ? "device" : kDefaultTarget);
+  for (const std::string& target : wanted) {
+    if (target == "all") {
+      for (const DeviceProfile& profile : known_profiles())
+        options.targets.emplace_back(profile.name);
+      continue;
+    }
+    options.targets.push_back(target);
+    if (target == "device") {
+      SHALE_TRY(const DeviceCaps caps, caps_at_hand(device ? *device : DeviceArguments()));
+      options.profiles.emplace(target, profile_from_caps(caps));
+    } else if (target.ends_with(".json")) {
+      SHALE_TRY(const std::string text, read_text(target));
+      const Result<DeviceCaps> caps = parse_caps(text);
+      if (!caps) return in_file(target, caps.error());
+      options.profiles.emplace(target, profile_from_caps(*caps));
+    }
+  }
+  std::set<std::string> seen;
+  for (const std::string& target : options.targets)
+    if (!seen.insert(target).second) return bad_input("--target", "\"{}\" is given twice", target);
+  return {};
+}
+
 Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const {
   CompileOptions options;
-  options.targets = targets;
+  SHALE_TRY_VOID(add_targets(options));
   options.kernels = kernels;
   options.expected_runs = expected_runs;
   for (const std::string& kernel : kernels)

@@ -79,10 +79,13 @@ struct ImportArguments {
 /// Errors: those of import_model and infer_shapes.
 Result<Graph> import_graph(std::span<const uint8_t> bytes, const ImportOptions& options);
 
+struct DeviceArguments;
+
 /// Options that everything which compiles shares.
 struct CompileArguments {
   ImportArguments import;
-  std::vector<std::string> targets{"lavapipe"};
+  std::vector<std::string> targets;
+  const DeviceArguments* device = nullptr;  ///< the device at hand, target "device"
   std::vector<std::string> kernels;
   std::string frame, render, output, choices, constants, precision = "int8";
   double ratio = 0;
@@ -90,9 +93,14 @@ struct CompileArguments {
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
 
-  void add_to(CLI::App& app);
-  /// Errors: kBadInput for an option that cannot be understood.
+  /// With a device at hand, which has to outlive the arguments, that is the target by default.
+  void add_to(CLI::App& app, const DeviceArguments* device_at_hand = nullptr);
+  /// Errors: kBadInput for an option that cannot be understood; kDevice where the target is a device
+  /// that is not there.
   Result<CompileOptions> options(const ModelFiles& model) const;
+
+ private:
+  Result<void> add_targets(CompileOptions& options) const;
 };
 
 /// What `shale tune` writes: JSON of this schema.

@@ -178,7 +178,7 @@ Action add_conform(CLI::App& app) {
   app.add_option("--backend", arguments->backend, "interpreter or device")
       ->check(CLI::IsMember({"interpreter", "device"}));
   add_device_options(app, arguments->device);
-  arguments->compile.add_to(app);
+  arguments->compile.add_to(app, &arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer("Example: shale conform build/golden/tosa --backend device --no-passes");
   return [arguments] { return conform(*arguments); };

@@ -50,6 +50,12 @@ std::optional<std::string> not_a_cache(const std::string& path) {
 
 }  // namespace
 
+Result<DeviceCaps> caps_at_hand(const DeviceArguments& arguments) {
+  SHALE_TRY(const vk::Instance instance, vk::Instance::create());
+  SHALE_TRY(const VkPhysicalDevice physical, instance.find_device(arguments.name));
+  return vk::snapshot_caps(physical, instance.functions());
+}
+
 Result<ToolDevice> ToolDevice::open(const DeviceArguments& arguments) {
   ToolDevice tool;
   SHALE_TRY(vk::Instance instance, vk::Instance::create({.validation = arguments.validation}));

@@ -28,6 +28,9 @@ struct DeviceArguments {
 /// --device, --cache, --validation.
 void add_device_options(CLI::App& app, DeviceArguments& device);
 
+/// What the device can do; it is not opened. Errors: kDevice.
+Result<DeviceCaps> caps_at_hand(const DeviceArguments& arguments);
+
 /// Instance, device and pipeline cache with one lifetime. The cache is a help, not a result: at the
 /// end, when results are safe, it is written; what goes wrong with it is a warning.
 class ToolDevice {

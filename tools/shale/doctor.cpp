@@ -1,17 +1,18 @@
-// shale doctor: which devices there are, what they can do, which kernels they will get, what is
-// missing.
+// shale doctor: which devices there are, what they can do, which kernels and which variants of a
+// package they will get, what is missing.
+#include <optional>
+#include <utility>
+
 #include "compiler/kernels/kernel.h"
+#include "compiler/target/caps_json.h"
+#include "ir/base/file.h"
+#include "ir/package/rank.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/instance.h"
 #include "tools/shale/command.h"
 
 namespace shale {
 namespace {
-
-std::string version(uint32_t number) {
-  return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(number), VK_API_VERSION_MINOR(number),
-                     VK_API_VERSION_PATCH(number));
-}
 
 /// What the generic kernels of every network need; without it no package runs.
 std::vector<std::string> lacking(const DeviceCaps& caps) {
@@ -35,37 +36,37 @@ Json kernels_of(const DeviceProfile& profile) {
   return names;
 }
 
-Json describe(const DeviceCaps& caps) {
-  Json features = Json::object();
-  for (uint32_t i = 0; i < kFeatureCount; ++i)
-    features[feature_name(static_cast<Feature>(i))] = caps.features.has(static_cast<Feature>(i));
-  const bool dots = caps.features.has(Feature::kDotProduct8);
-  const bool matrices = dots && caps.features.has(Feature::kCooperativeMatrix);
-  const std::string_view target = caps.cpu   ? "lavapipe"
-                                  : matrices ? "coopmat-gpu"
-                                  : dots     ? "dot8-gpu"
-                                             : "generic-gpu";
-  return {{"name", caps.name},
-          {"driver", caps.driver},
-          {"vulkan", version(caps.api_version)},
-          {"kind", caps.cpu ? "CPU" : "GPU"},
-          {"features", features},
-          {"subgroup_size", caps.subgroup_size},
-          {"max_workgroup_invocations", caps.max_workgroup_invocations},
-          {"shared_bytes", caps.max_shared_bytes},
-          {"storage_range_bytes", caps.max_storage_range_bytes},
-          {"texel_elements", caps.max_texel_elements},
-          {"target", target},
-          {"kernels", kernels_of(*find_profile(target))},
-          {"missing", lacking(caps)}};
+/// What the device is, as --target takes it, and what it gets; of `package`, where there is one, which
+/// variant, and why not the others.
+Json describe(const DeviceCaps& caps, const std::optional<Package>& package) {
+  const DeviceProfile profile = profile_from_caps(caps);
+  Json json = Json::parse(caps_json(caps));
+  json["class"] = device_class_name(device_class(caps));
+  json["target"] = profile.name;
+  json["kernels"] = kernels_of(profile);
+  json["missing"] = lacking(caps);
+  if (!package) return json;
+  json["variants"] = Json::array();
+  for (const RankedVariant& ranked : rank_variants(package->variants, caps)) {
+    const Variant& variant = package->variants[ranked.index];
+    json["variants"].push_back({{"variant", ranked.index},
+                                {"target", variant.target},
+                                {"class", device_class_name(variant.device_class)},
+                                {"predicted_us", ranked.time_us},
+                                {"missing", ranked.missing}});
+  }
+  return json;
 }
 
 void print(const Json& device) {
-  fmt::print("{} ({}, Vulkan {})\n  driver: {}\n", device["name"].get<std::string>(),
-             device["kind"].get<std::string>(), device["vulkan"].get<std::string>(),
-             device["driver"].get<std::string>());
+  fmt::print("{} ({}, class {}, Vulkan {})\n  driver: {}\n", device["name"].get<std::string>(),
+             device["kind"].get<std::string>(), device["class"].get<std::string>(),
+             device["vulkan"].get<std::string>(), device["driver"].get<std::string>());
   for (const auto& [name, present] : device["features"].items())
-    fmt::print("  {:<28} {}\n", name, present.get<bool>() ? "yes" : "no");
+    fmt::print("  {:<34} {}\n", name, present.get<bool>() ? "yes" : "no");
+  for (const Json& product : device["matrix_products"])
+    fmt::print("  int8 matrices of {}x{}x{}\n", product[0].get<uint32_t>(),
+               product[1].get<uint32_t>(), product[2].get<uint32_t>());
   fmt::print("  workgroup: {} invocations, subgroup {}, {} bytes shared\n",
              device["max_workgroup_invocations"].get<uint32_t>(),
              device["subgroup_size"].get<uint32_t>(), device["shared_bytes"].get<uint32_t>());
@@ -76,9 +77,28 @@ void print(const Json& device) {
              kernels);
   for (const Json& line : device["missing"])
     fmt::print("  cannot run networks: {}\n", line.get<std::string>());
+  if (!device.contains("variants")) return;
+  bool is_taken = false;
+  for (const Json& variant : device["variants"]) {
+    const bool fits = variant["missing"].empty();
+    fmt::print("  variant {} for {} (class {}, {:.3f} ms there): {}\n",
+               variant["variant"].get<uint32_t>(), variant["target"].get<std::string>(),
+               variant["class"].get<std::string>(), variant["predicted_us"].get<double>() / 1000,
+               !fits                            ? "refused"
+               : !std::exchange(is_taken, true) ? "taken"
+                                                : "fits too");
+    for (const Json& line : variant["missing"]) fmt::print("    {}\n", line.get<std::string>());
+  }
 }
 
-Result<int> doctor(bool as_json) {
+Result<int> doctor(bool as_json, const std::string& package_path) {
+  std::optional<Package> package;
+  if (!package_path.empty()) {
+    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(package_path));
+    Result<Package> read = read_package(bytes);
+    if (!read) return in_file(package_path, read.error());
+    package = *std::move(read);
+  }
   Json json{{"version", kVersionText}, {"devices", Json::array()}, {"advice", Json::array()}};
   int exit = kNoDevice;
   Result<vk::Instance> instance = vk::Instance::create();
@@ -88,7 +108,7 @@ Result<int> doctor(bool as_json) {
     SHALE_TRY(const std::vector<VkPhysicalDevice> devices, instance->physical_devices());
     for (const VkPhysicalDevice device : devices) {
       const DeviceCaps caps = vk::snapshot_caps(device, instance->functions());
-      json["devices"].push_back(describe(caps));
+      json["devices"].push_back(describe(caps, package));
       if (lacking(caps).empty()) exit = kDone;
     }
     if (const Result<vk::Instance> validated = vk::Instance::create({.validation = true});
@@ -112,9 +132,14 @@ Result<int> doctor(bool as_json) {
 
 Action add_doctor(CLI::App& app) {
   auto as_json = std::make_shared<bool>(false);
+  auto package = std::make_shared<std::string>();
+  app.add_option("package", *package, "package (.shale): which variant each device takes, and why");
   app.add_flag("--json", *as_json, "print as JSON");
-  app.footer("Example: shale doctor\nExit code 3 if no device can run networks.");
-  return [as_json] { return doctor(*as_json); };
+  app.footer(
+      "Example: shale doctor --json > device.json\n"
+      "         shale compile models/srpo_x2 --target device.json -o srpo.shale\n"
+      "Exit code 3 if no device can run networks.");
+  return [as_json, package] { return doctor(*as_json, *package); };
 }
 
 }  // namespace shale

@@ -1,4 +1,6 @@
 // shale dump: a model as text, a package as a listing, its shaders as assembly.
+#include <filesystem>
+
 #include "compiler/frontend/spirv_graph/spirv_graph.h"
 #include "compiler/frontend/vgf/vgf.h"
 #include "compiler/spirv/check.h"
@@ -11,7 +13,7 @@ namespace shale {
 namespace {
 
 struct Arguments {
-  std::string file, output;
+  std::string file, output, modules;
   CompileArguments compile;
   std::string what = "text";
   bool plan = false;
@@ -294,12 +296,35 @@ Result<Dump> plan_dump(const Arguments& arguments, const ModelFiles& model) {
   return dump;
 }
 
+/// A file of SPIR-V words for every module of every variant; prints how many.
+Result<Dump> write_modules(const Package& package, const std::string& folder) {
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error) return io_error(folder, "cannot create: {}", error.message());
+  Dump dump;
+  for (size_t v = 0; v < package.variants.size(); ++v) {
+    const std::vector<Spirv>& modules = package.variants[v].modules;
+    for (size_t m = 0; m < modules.size(); ++m) {
+      const std::string path =
+          (std::filesystem::path(folder) / fmt::format("variant{}_module{}.spv", v, m)).string();
+      const auto* bytes = reinterpret_cast<const uint8_t*>(modules[m].data());
+      SHALE_TRY_VOID(write_file(path, {bytes, modules[m].size() * sizeof(uint32_t)}));
+    }
+    dump.text += fmt::format("variant {} \"{}\": {} modules\n", v, package.variants[v].target,
+                             modules.size());
+    dump.json.push_back({{"variant", v}, {"modules", modules.size()}});
+  }
+  return dump;
+}
+
 Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
   if (arguments.plan) return plan_dump(arguments, model);
   const std::vector<uint8_t>& bytes = model.bytes;
   if (bytes.empty() && model.frame)
     return bad_input("", "is a sandwich without a network, so there is no graph to print");
   if (!is_package(bytes)) {
+    if (!arguments.modules.empty())
+      return bad_input("--modules", "needs a package, the file is a model");
     if (arguments.what != "text" && arguments.what != "graph")
       return bad_input("--what", "\"{}\" needs a package, the file is a model", arguments.what);
     if (arguments.what == "text" && is_vgf(bytes)) return vgf_dump(bytes);
@@ -311,6 +336,7 @@ Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
   if (arguments.what == "graph")
     return bad_input("--what", "\"graph\" needs a model, the file is a package");
   SHALE_TRY(const Package package, read_package(bytes));
+  if (!arguments.modules.empty()) return write_modules(package, arguments.modules);
   if (arguments.what == "text") return package_dump(package);
   if (arguments.variant >= package.variants.size())
     return bad_input("--variant", "found {}, the package has {}", arguments.variant,
@@ -353,6 +379,8 @@ Action add_dump(CLI::App& app) {
   arguments->compile.add_to(app);
   app.add_option("--variant", arguments->variant, "variant of the package");
   app.add_option("--module", arguments->module, "only this shader module");
+  app.add_option("--modules", arguments->modules,
+                 "folder for the shaders of all variants, a SPIR-V file each");
   app.add_flag("--json", arguments->json, "print as JSON");
   app.footer(
       "Example: shale dump srpo.shale --what memory\n"

@@ -158,7 +158,7 @@ Action add_eval(CLI::App& app) {
       ->check(CLI::Range(1u, 16u));
   app.add_flag("--no-time", arguments->no_time, "measure no times");
   arguments->source.add_to(app);
-  arguments->compile.add_to(app);
+  arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(

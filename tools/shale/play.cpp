@@ -379,7 +379,7 @@ Action add_play(CLI::App& app) {
                  "print the times of so many runs of the last frame, one after the other")
       ->check(CLI::Range(1, 10000))
       ->needs(profile);
-  arguments->compile.add_to(app);
+  arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(

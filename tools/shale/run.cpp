@@ -262,7 +262,7 @@ Action add_run(CLI::App& app) {
   app.add_flag("--profile", arguments->profile, "print the time of each dispatch");
   app.add_option("--profile-to", arguments->profile_file,
                  "write the times as JSON, for shale report --measured");
-  arguments->compile.add_to(app);
+  arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer("Example: shale run models/srpo_x2 --random 1 --check --profile");

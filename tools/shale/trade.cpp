@@ -68,8 +68,10 @@ struct Contender {
 
   bool is_baseline() const { return files.bytes.empty(); }
   std::string name() const { return is_baseline() ? files.name : files.name + " " + precision; }
-  CompileArguments compile() const {
+  /// For the device at hand, if there is one.
+  CompileArguments compile(const DeviceArguments* device = nullptr) const {
     CompileArguments arguments;
+    arguments.device = device;
     arguments.precision = precision.empty() ? arguments.precision : precision;
     return arguments;
   }
@@ -393,7 +395,7 @@ Result<int> trade(const Arguments& arguments) {
                       frames_of(arguments, tool, scenes[s], sizes));
             if (method.empty()) {
               SHALE_TRY(const Sandwich sandwich,
-                        load_sandwich(contender.path, contender.compile(),
+                        load_sandwich(contender.path, contender.compile(&arguments.tool),
                                       Extent{sizes.render.width, sizes.render.height},
                                       Extent{output.width, output.height}));
               method.push_back({contender.name(), nullptr});

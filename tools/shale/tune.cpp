@@ -127,7 +127,7 @@ Action add_tune(CLI::App& app) {
   app.add_option("--without", arguments->without,
                  "families that are not tried (default: generic and conv2d_s8_i32, which are slow "
                  "to run or to compile)");
-  arguments->compile.add_to(app);
+  arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
