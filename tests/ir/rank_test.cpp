@@ -77,6 +77,7 @@ TEST(Rank, WhatTheDeviceLacksPutsAVariantLast) {
   variants[0].requirements.subgroup_size = 64;
   DeviceCaps caps = caps_of(DeviceClass::kMatrixGpu);
   caps.subgroup_size = 32;
+  caps.max_workgroup_invocations = 128;
   const std::vector<RankedVariant> ranked = rank_variants(variants, caps);
   EXPECT_EQ(ranked[0].index, 1u);
   EXPECT_EQ(ranked[1].missing,

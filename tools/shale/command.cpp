@@ -15,8 +15,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kDefaultTarget = "lavapipe";
-
 }  // namespace
 
 std::string json_text(const Json& json) {
@@ -219,7 +217,7 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
                  fmt::format("device classes, a variant each: {}; all of them by \"all\"; "
                              "\"device\", the device at hand; a file of shale doctor --json, the "
                              "device in it (default: {})",
-                             known, device ? "device" : kDefaultTarget))
+                             known, device ? "device" : default_target))
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_option("--choices", choices, "file of shale tune: the fastest family for each layer");
@@ -255,7 +253,7 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
 Result<void> CompileArguments::add_targets(CompileOptions& options) const {
   options.targets.clear();
   std::vector<std::string> wanted = targets;
-  if (wanted.empty()) wanted.push_back(device ? "device" : kDefaultTarget);
+  if (wanted.empty()) wanted.push_back(device ? "device" : default_target);
   for (const std::string& target : wanted) {
     if (target == "all") {
       for (const DeviceProfile& profile : known_profiles())

@@ -86,6 +86,7 @@ struct CompileArguments {
   ImportArguments import;
   std::vector<std::string> targets;
   const DeviceArguments* device = nullptr;  ///< the device at hand, target "device"
+  std::string default_target = "lavapipe";  ///< without a device at hand
   std::vector<std::string> kernels;
   std::string frame, render, output, choices, constants, precision = "int8";
   double ratio = 0;

@@ -70,6 +70,7 @@ Action add_compile(CLI::App& app) {
          fmt::format("model file ({}) or a folder with model.tosa and frame.json", kModelKinds))
       ->required();
   app.add_option("-o,--output", arguments->output, "package to write")->required();
+  arguments->compile.default_target = "all";  // a package goes to devices that nobody knows yet
   arguments->compile.add_to(app);
   app.add_flag("--timings", arguments->timings, "print the time of each pass");
   app.add_flag("--json", arguments->json, "print the summary as JSON");

@@ -44,7 +44,7 @@ Json verdict_json(const Verdict& verdict, const Budget& budget) {
 void print_verdict(const Verdict& verdict, const Budget& budget, double gop) {
   const double left_ms = budget.frame_ms - budget.passes_ms;
   fmt::print(
-      "  budget: {} ms a frame less {} ms of passes leave {:.2f} ms, {:.2f} GOP at {} TOP/s\n",
+      "  budget: {} ms a frame less {:.2f} ms of passes leave {:.2f} ms, {:.2f} GOP at {} TOP/s\n",
       budget.frame_ms, budget.passes_ms, left_ms, verdict.available_gop, budget.tops);
   if (left_ms <= 0) {
     fmt::print("    no time is left for the network: it does not fit\n");
