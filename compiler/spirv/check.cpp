@@ -86,7 +86,7 @@ Result<SpirvNeeds> spirv_needs(const Spirv& words, const std::string& where) {
         case spv::CapabilityShader:
         case spv::CapabilitySampledBuffer:
         case spv::CapabilityImageBuffer:
-        case spv::CapabilityImageQuery:
+        case spv::CapabilityImageQuery: break;
         case spv::CapabilityStorageImageExtendedFormats:
           needs.features.add(Feature::kStorageImageExtended);
           break;

@@ -1,5 +1,6 @@
 // What devices get: snapshots of real and of possible ones against the variants of a package for
 // all targets, and profiles made from snapshots. Each file says where its numbers are from.
+#include <fmt/ranges.h>
 #include <gtest/gtest.h>
 
 #include <filesystem>
@@ -31,7 +32,8 @@ struct Row {
 const Row kRows[] = {
     {"lavapipe_22_3", DeviceClass::kCpu, "lavapipe", "conv2d_s8_winograd", ""},
     {"lavapipe_26_2", DeviceClass::kCpu, "lavapipe", "conv2d_s8_winograd", ""},
-    {"vulkan_1_3_minimum", DeviceClass::kDot8Gpu, "", "conv2d_s8_dot8", ""},
+    // Four storage buffers a stage are too few for a convolution by a fast kernel.
+    {"vulkan_1_3_minimum", DeviceClass::kDot8Gpu, "", "generic", ""},
     {"vulkan_1_3_minimum_8bit", DeviceClass::kDot8Gpu, "dot8-gpu", "conv2d_s8_dot8", ""},
     {"mali_g615", DeviceClass::kDot8Gpu, "dot8-gpu", "conv2d_s8_dot8", ""},
     {"adreno_740", DeviceClass::kDot8Gpu, "dot8-gpu", "conv2d_s8_dot8", ""},
@@ -72,6 +74,7 @@ TEST(Target, EverySnapshotHasARowAndSaysItsSource) {
 
 TEST(Target, DevicesTakeTheVariantOfTheirClassThatFits) {
   CompileOptions options;
+  options.expected_runs = kRunsOfFrame;
   options.targets.clear();
   // From the worst to the best: the order in the package does not matter.
   for (const DeviceProfile& profile : known_profiles())
@@ -82,7 +85,7 @@ TEST(Target, DevicesTakeTheVariantOfTheirClassThatFits) {
     EXPECT_EQ(device_class(caps), row.device_class) << row.snapshot;
     const RankedVariant best = rank_variants(compiled.package.variants, caps)[0];
     EXPECT_EQ(best.missing.empty() ? compiled.package.variants[best.index].target : "", row.variant)
-        << row.snapshot;
+        << row.snapshot << ": " << fmt::format("{}", fmt::join(best.missing, "; "));
   }
 }
 
@@ -90,6 +93,7 @@ TEST(Target, ProfilesFromSnapshotsMakeVariantsThatTheDeviceMeets) {
   for (const Row& row : kRows) {
     const DeviceCaps caps = snapshot(row.snapshot);
     CompileOptions options;
+    options.expected_runs = kRunsOfFrame;
     options.targets = {"own"};
     options.profiles.emplace("own", profile_from_caps(caps));
     const Compiled compiled = must(compile_graph(layer(), 0, options));

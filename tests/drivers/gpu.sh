@@ -67,7 +67,7 @@ on() { echo "--device=$device"; }
 
 step doctor 20 "$bundle/shale" doctor --json
 step conform 90 "$bundle/shale" conform "$bundle/tests/golden/tosa" --backend device "$(on)" --json
-for test in coopmat_test kernels_test gpu_target_test sandwich_test; do
+for test in coopmat_test kernels_test; do
   [ -x "$bundle/bin/$test" ] || continue
   step "$test" 60 "$bundle/run" "$test" --gtest_brief=1
 done

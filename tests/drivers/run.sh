@@ -2,13 +2,14 @@
 # A second driver: Debian sid's lavapipe, loader, validation layers and spirv-val, in a root that debootstrap makes.
 #   run.sh [FOLDER] [GOLDEN]
 # FOLDER (build-drivers by default) keeps the root, 700 MB, for the next time; GOLDEN is the folder of the TOSA cases
-# (those that the build unpacks by default). SHALE_MIRROR names another mirror than debootstrap's own. As root: debootstrap and chroot need it. Builds what it runs. Exit code 0 if the
-# program, all cases and tests passed there and no module is invalid. Some twenty minutes on two cores.
+# (those that the build unpacks by default). SHALE_MIRROR names another mirror than debootstrap's own. Needs root, for
+# debootstrap and chroot. Builds what it runs. Exit code 0 if the program, all cases and tests passed there and no module
+# is invalid. Some twenty minutes on two cores.
 # Example: tests/drivers/run.sh
 set -eu
 
 case "${1:-}" in
-  -*) sed -n '2,7s/^# //p' "$0" >&2; exit 2 ;;
+  -*) sed -n '2,8s/^# //p' "$0" >&2; exit 2 ;;
 esac
 source=$(cd "$(dirname "$0")/../.." && pwd)
 folder=${1:-$source/build-drivers}
@@ -38,6 +39,7 @@ cmake --build "$build" --target shale kernels_test coopmat_test gpu_target_test 
 rm -rf "$root/shale" "$root/results"
 mkdir "$root/results"
 SHALE_BUILD=$build "$source/tools/setup/bundle.sh" "$root/shale" "$golden"
+for test in gpu_target_test sandwich_test; do strip -o "$root/shale/bin/$test" "$build/tests/e2e/$test"; done
 cp "$source/tests/drivers/inside.sh" "$root/shale/inside.sh"
 
 mounted=

@@ -22,8 +22,7 @@ fail() { echo "error: $*" >&2; exit 1; }
 
 mkdir -p "$out/bin" "$out/lib" "$out/fallback" "$out/tests/golden"
 out=$(cd "$out" && pwd)
-for file in tools/shale tests/compiler/kernels_test tests/compiler/coopmat_test tests/e2e/gpu_target_test \
-            tests/e2e/sandwich_test; do
+for file in tools/shale tests/compiler/kernels_test tests/compiler/coopmat_test; do
   if [ -x "$build/$file" ]; then strip -o "$out/bin/${file##*/}" "$build/$file"; fi
 done
 

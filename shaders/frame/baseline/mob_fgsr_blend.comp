@@ -31,8 +31,8 @@ vec3 history_at(vec2 uv) {
   const Bilinear b = bilinear_at(uv, kOutput);
   const vec4 wx = cubic(b.part.x), wy = cubic(b.part.y);
   vec3 sum = vec3(0.0);
-  for (int y = 0; y < 4; ++y)
-    for (int x = 0; x < 4; ++x)
+  [[unroll]] for (int y = 0; y < 4; ++y)
+    [[unroll]] for (int x = 0; x < 4; ++x)
       sum += wx[x] * wy[y] * rgb_of(fetch_history(inside(b.base + ivec2(x, y) - 1, kOutput)));
   return sum;
 }
@@ -45,7 +45,7 @@ void main() {
   const vec2 base = floor(scene - 0.5);
   const vec2 part = scene - 0.5 - base;
   vec3 now = vec3(0.0);
-  for (int i = 0; i < 4; ++i) now += bilinear_weight(part, i) * texel(ivec2(base) + ivec2(i & 1, i >> 1));
+  [[unroll]] for (int i = 0; i < 4; ++i) now += bilinear_weight(part, i) * texel(ivec2(base) + ivec2(i & 1, i >> 1));
 
   const ivec2 render = (2 * at + 1) * kRender / (2 * kOutput);
   const vec2 before = uv - xy_of(fetch_dilated_motion(render));
@@ -56,7 +56,7 @@ void main() {
     if (abs(z - z_before) < kDepthThreshold) {
       const ivec2 centre = inside(ivec2(floor(scene)), kRender);
       vec3 low = ycocg(texel(centre)), high = low;
-      for (int i = 0; i < 9; ++i) {
+      [[unroll]] for (int i = 0; i < 9; ++i) {
         const vec3 c = ycocg(texel(centre + ivec2(i % 3, i / 3) - 1));
         low = min(low, c);
         high = max(high, c);

@@ -24,7 +24,7 @@ void main() {
   if (at.x >= kRender.x || at.y >= kRender.y) return;
   ivec2 from = at;
   float closest = depth_at(at);
-  for (int i = 0; i < 9; ++i) {
+  [[unroll]] for (int i = 0; i < 9; ++i) {
     const ivec2 neighbour = at + ivec2(i % 3, i / 3) - 1;
     const float d = depth_at(neighbour);
     if (d < closest) {

@@ -43,9 +43,9 @@ void main() {
   const vec2 part = scene - 0.5 - base;
   vec3 sum = vec3(0.0);
   float total = 0.0;
-  for (int y = 1 - kRadius; y <= kRadius; ++y) {
+  [[unroll]] for (int y = 1 - kRadius; y <= kRadius; ++y) {
     const float wy = weight(float(y) - part.y);
-    for (int x = 1 - kRadius; x <= kRadius; ++x) {
+    [[unroll]] for (int x = 1 - kRadius; x <= kRadius; ++x) {
       const float w = wy * weight(float(x) - part.x);
       sum += w * texel(ivec2(base) + ivec2(x, y));
       total += w;

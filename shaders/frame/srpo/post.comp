@@ -36,10 +36,10 @@ vec3 lanczos(ivec2 at) {
   const ivec2 k = at / kScale, p = at - k * kScale;
   const int x0 = lanczos_first(k.x, p.x), y0 = lanczos_first(k.y, p.y);
   vec3 sum = vec3(0.0);
-  for (int j = 0; j < 6; ++j) {
+  [[unroll]] for (int j = 0; j < 6; ++j) {
     const int y = clamp(y0 + j, 0, COLOR_HEIGHT - 1);
     vec3 row = vec3(0.0);
-    for (int i = 0; i < 6; ++i)
+    [[unroll]] for (int i = 0; i < 6; ++i)
       row += lanczos_weight(i, p.x) * fetch_color(ivec2(clamp(x0 + i, 0, COLOR_WIDTH - 1), y)).rgb;
     sum += lanczos_weight(j, p.y) * row;
   }
@@ -59,8 +59,8 @@ void main() {
 
   float alpha = 0.0;
   int moved = 0;
-  for (int y = -1; y <= 1; ++y) {
-    for (int x = -1; x <= 1; ++x) {
+  [[unroll]] for (int y = -1; y <= 1; ++y) {
+    [[unroll]] for (int x = -1; x <= 1; ++x) {
       const ivec2 neighbour = at + ivec2(x, y);
       if (any(lessThan(neighbour, ivec2(0))) || neighbour.x >= OUTPUT_WIDTH || neighbour.y >= OUTPUT_HEIGHT) continue;
       if (rounded_offset(neighbour) == ivec2(0)) continue;

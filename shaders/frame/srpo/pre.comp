@@ -13,5 +13,5 @@ void main() {
   const vec3 code = floor(fetch_color(at).rgb / float(INPUT_SCALE) + 0.5);
   const ivec3 q = clamp(ivec3(code) + INPUT_ZERO_POINT, -128, 127);
   const int base = (at.y * INPUT_WIDTH + at.x) * INPUT_CHANNELS;
-  for (int c = 0; c < 3; ++c) store_element_input(base + c, q[c]);
+  [[unroll]] for (int c = 0; c < 3; ++c) store_element_input(base + c, q[c]);
 }
