@@ -16,29 +16,25 @@ namespace fs = std::filesystem;
 
 /// A sandwich of one pass that writes (0.25, 0.5, 0.75, 1) into an output of this format.
 std::string frame_json(const std::string& color, const std::string& output) {
-  return R"({"schema": "shale-frame/1", "render": [16, 8], "output": [16, 8], "images": [
+  return R"({"schema": "shale-frame/2", "render": [16, 8], "output": [16, 8], "images": [
   {"name": "color", "role": "input", "format": ")" +
          color + R"(", "size": "render"},
   {"name": "output", "role": "output", "format": ")" +
          output + R"(", "size": "output"}],
- "passes": [{"name": "fill", "shader": "fill.comp", "over": "output", "bindings": [
-  {"binding": 0, "image": "color", "access": "read"},
-  {"binding": 1, "image": "output", "access": "write"}]}]})";
+ "passes": [{"name": "fill", "shader": "fill.comp", "over": "output", "reads": ["color"], "writes": ["output"]}]})";
 }
 
-std::string shader(const std::string& format) {
+/// `texel`: that value as the output's accessor takes it, with the colour that was read as `zero`.
+std::string shader(const std::string& color, const std::string& texel) {
   return R"(#version 450
-#extension GL_EXT_samplerless_texture_functions : require
+#include "access.glsl"
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
-layout(set = 0, binding = 0) uniform texture2D color;
-layout(set = 0, binding = 1, )" +
-         format + R"() writeonly uniform image2D shown;
 void main() {
   const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
   if (at.x >= OUTPUT_WIDTH || at.y >= OUTPUT_HEIGHT) return;
-  imageStore(shown, at, vec4(0.25, 0.5, 0.75, 1.0) + 0.0 * texelFetch(color, at, 0));
-}
-)";
+  const float zero = 0.0 * )" +
+         std::string(color == "rgba16_float" ? "rgb_of(fetch_color(at)).x" : "fetch_color(at).x") +
+         ";\n  store_output(at, " + texel + ");\n}\n";
 }
 
 class PlayerTest : public testing::Test {
@@ -54,9 +50,9 @@ class PlayerTest : public testing::Test {
   void TearDown() override { fs::remove_all(folder_); }
 
   void write_sandwich(const std::string& color, const std::string& output,
-                      const std::string& format) const {
+                      const std::string& texel) const {
     std::ofstream(folder_ / "frame.json") << frame_json(color, output);
-    std::ofstream(folder_ / "fill.comp") << shader(format);
+    std::ofstream(folder_ / "fill.comp") << shader(color, texel);
   }
   int shale(const std::string& arguments) const {
     const int status = std::system(
@@ -71,13 +67,13 @@ class PlayerTest : public testing::Test {
 
 TEST_F(PlayerTest, ResultsOfOneAndTwoChannelsAreShown) {
   const struct {
-    const char *color, *output, *format;
+    const char *color, *output, *texel;
     int red, green, blue;
-  } kCases[]{{"rgba8_unorm", "r8_unorm", "r8", 64, 64, 64},
-             {"rgba8_unorm", "rg8_unorm", "rg8", 64, 128, 0},
-             {"rgba8_unorm", "rgba8_unorm", "rgba8", 64, 128, 191}};
+  } kCases[]{{"rgba8_unorm", "r8_unorm", "zero + 0.25", 64, 64, 64},
+             {"rgba8_unorm", "rg8_unorm", "zero + vec2(0.25, 0.5)", 64, 128, 0},
+             {"rgba8_unorm", "rgba8_unorm", "zero + vec4(0.25, 0.5, 0.75, 1.0)", 64, 128, 191}};
   for (const auto& test : kCases) {
-    write_sandwich(test.color, test.output, test.format);
+    write_sandwich(test.color, test.output, test.texel);
     ASSERT_EQ(shale("play . -i in.ppm -o out.png --validation"), 0) << test.output << said();
     const Result<Picture> picture = load_picture((folder_ / "out.png").string());
     ASSERT_TRUE(picture) << picture.error().text();
@@ -91,9 +87,10 @@ TEST_F(PlayerTest, ResultsOfOneAndTwoChannelsAreShown) {
 
 TEST_F(PlayerTest, LinearResultsOfOneAndTwoChannelsAreMeasured) {
   const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/motion.json";
-  for (const auto& [output, format] :
-       {std::pair{"r16_float", "r16f"}, {"rg16_float", "rg16f"}, std::pair{"r32_float", "r32f"}}) {
-    write_sandwich("rgba16_float", output, format);
+  for (const auto& [output, texel] :
+       {std::pair{"r16_float", "zero + 0.25"}, {"rg16_float", "half2(zero + vec2(0.25, 0.5))"},
+        std::pair{"r32_float", "zero + 0.25"}}) {
+    write_sandwich("rgba16_float", output, texel);
     EXPECT_EQ(shale(fmt::format("eval {} -m . --frames 1 --no-time --validation", scene)), 0)
         << output << said();
     EXPECT_EQ(shale(fmt::format("play . -i {} -o frames --frames 1 --validation", scene)), 0)
@@ -102,7 +99,7 @@ TEST_F(PlayerTest, LinearResultsOfOneAndTwoChannelsAreMeasured) {
 }
 
 TEST_F(PlayerTest, OneOfTwoDisplaysIsRefused) {
-  write_sandwich("rgba16_float", "r8_unorm", "r8");
+  write_sandwich("rgba16_float", "r8_unorm", "zero + 0.25");
   EXPECT_EQ(shale("play . -i in.ppm -o out.png"), 1);
   EXPECT_NE(said().find("one of color and output is of unorm format"), std::string::npos) << said();
   EXPECT_FALSE(fs::exists(folder_ / "out.png"));

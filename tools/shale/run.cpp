@@ -134,7 +134,8 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
     options->expected_runs = std::max(kRunsOfOne, 1.0 * arguments.repeat);
   SHALE_TRY(Compiled compiled, compile_model(model, *options));
   for (const std::string& warning : compiled.warnings) print_warning(model.path, warning);
-  for (const std::string& line : selection_lines(compiled)) fmt::print(stderr, "{}\n", line);
+  if (!arguments.json)
+    for (const std::string& line : selection_lines(compiled)) fmt::print(stderr, "{}\n", line);
   graph = std::move(compiled.graph);
   return std::move(compiled.package);
 }

@@ -31,5 +31,5 @@ int main(int argc, char** argv) {
     return 1;
   }
   std::printf("%llu segments\n", static_cast<unsigned long long>(*segments));
-  return *segments == 3 ? 0 : 1;
+  return *segments == 4 ? 0 : 1;
 }
