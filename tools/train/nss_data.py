@@ -84,6 +84,8 @@ def load_clip(root: Path, name: str, count: int | None = None, ratio: str = "x2"
                   for f in frames]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: not a sequence description ({error})") from None
+    if not (root / ratio).is_dir():
+        ratio = ratio.replace(".", "_")  # tools write x1_5 or x1.5
     rgb, xy = ("R", "G", "B"), ("R|X|U", "G|Y|V")
     layout = {"colour": (f"{ratio}/color", rgb, np.float16), "depth": (f"{ratio}/depth", ("Z|R|Y|V",), np.float32),
               "motion": (f"{ratio}/motion", xy, np.float16), "truth": ("ground_truth", rgb, np.float16),
