@@ -17,7 +17,7 @@ enum class Feature : uint32_t {
   kFloat16 = 5,          ///< shaderFloat16
   kDotProduct8 = 6,      ///< shaderIntegerDotProduct
   /// VK_KHR_cooperative_matrix with the products that DeviceCaps::matrix_products lists; and
-  /// vulkanMemoryModel, which modules with such products have to use
+  /// vulkanMemoryModel with its device scope, which modules with such products have to use
   kCooperativeMatrix = 7,
   kFloat64 = 8,  ///< shaderFloat64
   /// shaderStorageImageExtendedFormats: storage images of the formats that every device need not

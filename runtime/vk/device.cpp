@@ -54,6 +54,12 @@ const T& as(const VkBaseInStructure* structure) {
   return *reinterpret_cast<const T*>(structure);
 }
 
+/// What modules with matrices have to use. Where it is enabled the atomics of passes, which are of the
+/// device's scope, need that scope enabled as well.
+bool has_memory_model(const VkPhysicalDeviceVulkan12Features& v12) {
+  return v12.vulkanMemoryModel && v12.vulkanMemoryModelDeviceScope;
+}
+
 std::vector<VkQueueFamilyProperties> queue_families(const Functions& vk, VkPhysicalDevice device) {
   uint32_t count = 0;
   vk.GetPhysicalDeviceQueueFamilyProperties(device, &count, nullptr);
@@ -94,8 +100,7 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device, const Functions& vk) {
   caps.max_texel_buffers = limits.maxPerStageDescriptorSampledImages;
   caps.max_storage_images = limits.maxPerStageDescriptorStorageImages;
   caps.subgroup_size = v11.subgroupSize;
-  if (features.v12.vulkanMemoryModel)  // modules with matrices have to use it
-    caps.matrix_products = int8_products(vk, device);
+  if (has_memory_model(features.v12)) caps.matrix_products = int8_products(vk, device);
   if (!caps.matrix_products.empty()) caps.features.add(Feature::kCooperativeMatrix);
   return caps;
 }
@@ -124,6 +129,7 @@ FeatureSet enabled_features(const VkDeviceCreateInfo& info) {
         found.v12.shaderInt8 = v12.shaderInt8;
         found.v12.shaderFloat16 = v12.shaderFloat16;
         found.v12.vulkanMemoryModel = v12.vulkanMemoryModel;
+        found.v12.vulkanMemoryModelDeviceScope = v12.vulkanMemoryModelDeviceScope;
         break;
       }
       case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_8BIT_STORAGE_FEATURES:
@@ -136,10 +142,12 @@ FeatureSet enabled_features(const VkDeviceCreateInfo& info) {
         found.v12.shaderFloat16 = types.shaderFloat16;
         break;
       }
-      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES:
-        found.v12.vulkanMemoryModel =
-            as<VkPhysicalDeviceVulkanMemoryModelFeatures>(next).vulkanMemoryModel;
+      case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES: {
+        const auto& model = as<VkPhysicalDeviceVulkanMemoryModelFeatures>(next);
+        found.v12.vulkanMemoryModel = model.vulkanMemoryModel;
+        found.v12.vulkanMemoryModelDeviceScope = model.vulkanMemoryModelDeviceScope;
         break;
+      }
       case VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES:
         found.v13.shaderIntegerDotProduct =
             as<VkPhysicalDeviceVulkan13Features>(next).shaderIntegerDotProduct;
@@ -157,7 +165,7 @@ FeatureSet enabled_features(const VkDeviceCreateInfo& info) {
   FeatureSet features;
   for (const FeatureMember& row : kFeatureMembers)
     if (row.member(found)) features.add(row.feature);
-  if (matrices && found.v12.vulkanMemoryModel) features.add(Feature::kCooperativeMatrix);
+  if (matrices && has_memory_model(found.v12)) features.add(Feature::kCooperativeMatrix);
   return features;
 }
 
@@ -218,7 +226,7 @@ Result<Device> Device::create(VkPhysicalDevice physical_device, const Functions&
   info.pQueueCreateInfos = &queue_info;
   CooperativeMatrixFeatures matrices{.next = &enabled.v10, .cooperative_matrix = VK_TRUE};
   if (caps.features.has(Feature::kCooperativeMatrix)) {
-    enabled.v12.vulkanMemoryModel = VK_TRUE;
+    enabled.v12.vulkanMemoryModel = enabled.v12.vulkanMemoryModelDeviceScope = VK_TRUE;
     info.pNext = &matrices;
     info.enabledExtensionCount = 1;
     info.ppEnabledExtensionNames = &kCooperativeMatrixExtension;

@@ -160,6 +160,8 @@ TEST(EnabledFeatures, AreFoundUnderAllTheirNames) {
            Feature::kInt8, Feature::kFloat16, Feature::kDotProduct8});
   EXPECT_EQ(vk::enabled_features(info), most);  // matrices need the memory model, too
   v12.vulkanMemoryModel = VK_TRUE;
+  EXPECT_EQ(vk::enabled_features(info), most);  // and its device scope
+  v12.vulkanMemoryModelDeviceScope = VK_TRUE;
   FeatureSet all = most;
   all.add(Feature::kCooperativeMatrix);
   EXPECT_EQ(vk::enabled_features(info), all);
@@ -175,7 +177,8 @@ TEST(EnabledFeatures, AreFoundUnderAllTheirNames) {
   auto model = vk::init<VkPhysicalDeviceVulkanMemoryModelFeatures>(
       VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES);
   storage16.storageBuffer16BitAccess = storage8.storageBuffer8BitAccess = types.shaderInt8 =
-      types.shaderFloat16 = dots.shaderIntegerDotProduct = model.vulkanMemoryModel = VK_TRUE;
+      types.shaderFloat16 = dots.shaderIntegerDotProduct = model.vulkanMemoryModel =
+          model.vulkanMemoryModelDeviceScope = VK_TRUE;
   v10.pNext = &storage16;
   storage16.pNext = &storage8;
   storage8.pNext = &types;
