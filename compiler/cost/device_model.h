@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "compiler/passes/op_kind.h"
-#include "compiler/target/modelled_device.h"
 #include "compiler/plan/tiles.h"
+#include "compiler/target/modelled_device.h"
 
 namespace shale {
 

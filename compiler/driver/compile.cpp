@@ -8,6 +8,7 @@
 #include "compiler/frontend/frontend.h"
 #include "compiler/plan/frame_lowering.h"
 #include "compiler/plan/modules.h"
+#include "compiler/target/caps_json.h"
 #include "ir/base/hash.h"
 #include "ir/verify/verify.h"
 
@@ -71,15 +72,25 @@ class Canonical {
 Result<uint64_t> frame_hash(const Frame& frame, const std::vector<Plan>& plans) {
   Canonical all;
   const auto size_text = [](const FrameSize& size) {
-    return fmt::format("{} {} {} {}", size.of_output, size.divide[0], size.divide[1], size.multiple);
+    return fmt::format("{} {} {} {}", size.of_output, size.divide[0], size.divide[1],
+                       size.multiple);
   };
   for (const FrameImage& image : frame.images)
     all.add(fmt::format("{} {} {} {} {} {}", image.name, int{static_cast<uint8_t>(image.category)},
-                        image_format_info(image.format).name, size_text(image.size), image.history_depth,
-                        image.shows));
+                        image_format_info(image.format).name, size_text(image.size),
+                        image.history_depth, image.shows));
   for (const FrameTensor& tensor : frame.tensors)
     all.add(fmt::format("{} {:.9e} {} {}", tensor.name, tensor.quantization.scale,
                         tensor.quantization.zero_point, tensor.history_depth));
+  for (const Param& param : frame.params)
+    all.add(fmt::format("{} {} {} {} [{:.9e}]", param.name, param.is_integer, param.offset_bytes,
+                        int{static_cast<uint8_t>(param.source)},
+                        fmt::join(param.default_values, ",")));
+  for (const FrameView& view : frame.views)
+    all.add(fmt::format("{} {} {} {} {:.9e} {:.9e}", view.view.title, view.name,
+                        view.view.first_channel, view.view.channels, view.view.low,
+                        view.view.high));
+  for (const Plan& plan : plans) all.add(print_plan(plan));  // programs, passes, what they bind
   for (const Plan& plan : plans)
     for (const ModuleSource& source : plan.sources) {
       if (!source.load) continue;  // a kernel's: it follows from the model and the options
@@ -92,22 +103,31 @@ Result<uint64_t> frame_hash(const Frame& frame, const std::vector<Plan>& plans) 
   return all.hash();
 }
 
-std::string options_text(const CompileOptions& options, const std::vector<Plan>& plans) {
-  std::string text =
-      fmt::format("targets=[{}] optimize={} kernels=[{}] spirv_opt={}", fmt::join(options.targets, ","),
-                  options.pass_options.optimize, fmt::join(options.kernels, ","), options.optimize_spirv);
+/// Canonical text of the options that shape the package.
+/// Errors: those of frame_hash.
+Result<std::string> options_text(const CompileOptions& options, const std::vector<Plan>& plans) {
+  std::string text = fmt::format("targets=[{}] optimize={} kernels=[{}] spirv_opt={}",
+                                 fmt::join(options.targets, ","), options.pass_options.optimize,
+                                 fmt::join(options.kernels, ","), options.optimize_spirv);
   if (!options.prefer.empty()) text += " prefer=" + options.prefer;
   for (const auto& [target, constants] : options.constants) {
     Canonical numbers;
     for (const double ns : constants.ns) numbers.add(fmt::format("{:.17g}", ns));
     text += fmt::format(" constants:{}={:016x}", target, numbers.hash());
   }
+  for (const auto& [target, profile] : options.profiles) {
+    Canonical caps;
+    caps.add(caps_json(profile.caps));
+    text += fmt::format(" caps:{}={:016x}", target, caps.hash());
+  }
   if (options.expected_runs) text += fmt::format(" runs={:g}", *options.expected_runs);
   for (const auto& [name, kernel] : options.choices) text += fmt::format(" {}:{}", name, kernel);
   for (const auto& [name, shape] : options.passes.input_shapes)
     text += fmt::format(" {}={}", name, shape_text(shape));
-  if (options.frame)
-    if (const auto hash = frame_hash(*options.frame, plans)) text += fmt::format(" frame={:016x}", *hash);
+  if (options.frame) {
+    SHALE_TRY(const uint64_t hash, frame_hash(*options.frame, plans));
+    text += fmt::format(" frame={:016x}", hash);
+  }
   return text;
 }
 
@@ -136,9 +156,10 @@ Result<std::map<std::string, Shape>> input_shapes(const Graph& graph, const std:
       if (input.type.shape.size() != 4)
         return bad_input("frame.tensors", "the network has no NHWC input \"{}\"", tensor.name);
       if (options.passes.input_shapes.contains(input.name))
-        return bad_input("--input-shape",
-                         "the size of \"{}\" follows from the frame: use --render and --output-size",
-                         tensor.name);
+        return bad_input(
+            "--input-shape",
+            "the size of \"{}\" follows from the frame: use --render and --output-size",
+            tensor.name);
       const FrameExtent extent = (*tensor.size)(sizes.first, sizes.second);
       Shape shape = input.type.shape;
       shape[1] = extent.height;
@@ -156,8 +177,7 @@ Result<void> check_sized_tensors(const std::vector<Graph>& graphs,
     bool is_input = !tensor.size;
     for (size_t i = 0; i < graphs.size() && !is_input; ++i)
       for (const ValueId id : graphs[i].inputs)
-        is_input =
-            is_input || frame_name(frame, files[i], graphs[i].value(id).name) == tensor.name;
+        is_input = is_input || frame_name(frame, files[i], graphs[i].value(id).name) == tensor.name;
     if (!is_input)
       return bad_input("frame.tensors", "the network has no NHWC input \"{}\"", tensor.name);
   }
@@ -176,7 +196,8 @@ Result<void> run_passes(Graph& graph, const std::string& file, const CompileOpti
                         Compiled& compiled) {
   PassContext context = options.passes;
   SHALE_TRY(context.input_shapes, input_shapes(graph, file, options));
-  SHALE_TRY(const std::vector<PassTiming> timings, run_pipeline(graph, context, options.pass_options));
+  SHALE_TRY(const std::vector<PassTiming> timings,
+            run_pipeline(graph, context, options.pass_options));
   compiled.timings.insert(compiled.timings.end(), timings.begin(), timings.end());
   give_outputs_nodes(graph);
   return {};
@@ -227,11 +248,12 @@ Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
   PlannedGraph planned{.name = "graph", .graph = &graph};
   SHALE_TRY(planned.problems, group_problems(graph, profile, options, warnings));
   const double runs = options.frame ? kRunsOfFrame : kRunsOfNetwork;
-  SHALE_TRY(planned.selection, select_kernels(planned.problems, profile,
-                                              {.expected_runs = options.expected_runs.value_or(runs),
-                                               .allowed = options.kernels,
-                                               .prefer = options.prefer,
-                                               .choices = options.choices}));
+  SHALE_TRY(planned.selection,
+            select_kernels(planned.problems, profile,
+                           {.expected_runs = options.expected_runs.value_or(runs),
+                            .allowed = options.kernels,
+                            .prefer = options.prefer,
+                            .choices = options.choices}));
   if (!options.frame) return planned;
   for (const FrameProgram& program : options.frame->programs)
     for (const FramePass& pass : program.passes)
@@ -251,7 +273,8 @@ Result<Plan> plan_target(std::span<const PlannedGraph> graphs, const DeviceProfi
   if (options.frame) {
     SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
     SHALE_TRY_VOID(lower_frame(
-        plan, graphs, {*options.frame, sizes.first, sizes.second, options.load_shader, profile}, weights));
+        plan, graphs, {*options.frame, sizes.first, sizes.second, options.load_shader, profile},
+        weights));
   } else {
     plan.variant.programs = {"frame"};
     SHALE_TRY_VOID(plan_interface(plan, graphs[0]));
@@ -318,8 +341,9 @@ Result<Compiled> compile_loaded(std::vector<LoadedGraph> loaded, const CompileOp
   for (const LoadedGraph& each : loaded)
     model_hash = model_hash == 0 ? each.hash : model_hash * 0x9e3779b97f4a7c15u ^ each.hash;
   SHALE_TRY(Prepared all, plan_all(std::move(loaded), options, compiled));
+  SHALE_TRY(std::string described, options_text(options, all.plans));
   compiled.package.provenance = {model_hash, options.model_name, kCompilerVersion,
-                                 options_text(options, all.plans)};
+                                 std::move(described)};
   const auto start = std::chrono::steady_clock::now();
   for (size_t i = 0; i < all.plans.size(); ++i) {
     Plan& plan = all.plans[i];

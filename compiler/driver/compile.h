@@ -8,10 +8,10 @@
 #include <string>
 #include <vector>
 
-#include "compiler/plan/frame.h"
 #include "compiler/frontend/frontend.h"
 #include "compiler/kernels/select.h"
 #include "compiler/passes/pass.h"
+#include "compiler/plan/frame.h"
 #include "ir/package/package.h"
 
 namespace shale {
@@ -41,7 +41,7 @@ struct CompileOptions {
   ShaderLoader load_shader;    ///< needed with `frame`
   /// Bytes of a model file by its path in frame.json; needed for every graph but the first.
   std::function<Result<std::vector<uint8_t>>(const std::string& path)> load_model;
-  FrameSizes sizes;            ///< for `frame`
+  FrameSizes sizes;  ///< for `frame`
   std::string model_name = "model";
   /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
   std::function<bool(size_t done, size_t total)> progress;
@@ -79,6 +79,7 @@ Result<Compiled> compile_graph(Graph graph, uint64_t model_hash, const CompileOp
 
 /// What compile() would put into the package, as text, a plan for each target; no code is made.
 /// Errors: as compile(), but for those of kernels' code.
-Result<std::vector<std::string>> plan_texts(std::span<const uint8_t> model, const CompileOptions& options);
+Result<std::vector<std::string>> plan_texts(std::span<const uint8_t> model,
+                                            const CompileOptions& options);
 
 }  // namespace shale

@@ -37,9 +37,10 @@ struct TexelType {
 };
 
 constexpr std::array<TexelType, 9> kTexelTypes{{
-    {ImageFormat::kRgba16Float, "HALF4", "HALF4", "half4_of_image({0})", "image_of_half4({0})", "{0}", "pair({0}.x, {0}.y)"},
-    {ImageFormat::kRg16Float, "HALF2", "HALF2", "half2_of_image({0}.rg)", "image_of_half2({0})", "{0}",
-     "{0}"},
+    {ImageFormat::kRgba16Float, "HALF4", "HALF4", "half4_of_image({0})", "image_of_half4({0})",
+     "{0}", "pair({0}.x, {0}.y)"},
+    {ImageFormat::kRg16Float, "HALF2", "HALF2", "half2_of_image({0}.rg)", "image_of_half2({0})",
+     "{0}", "{0}"},
     {ImageFormat::kR32Float, "float", "float", "{0}.r", "vec4({0})", "uintBitsToFloat({0})",
      "floatBitsToUint({0})"},
     {ImageFormat::kR32Uint, "uint", "uint", "{0}.r", "uvec4({0})", "{0}", "{0}"},
@@ -113,8 +114,7 @@ class Writer {
     const std::string name = fmt::format("{}_as_{}", a_.handle, image_format_info(view).name);
     if (text_.find(" " + name + ";") != std::string::npos) return name;
     const bool is_signed = view == ImageFormat::kRgba8Sint || view == ImageFormat::kR8Sint;
-    const uint32_t number =
-        bind(BindingType::kUniformTexelBuffer, a_.index, view, true, false);
+    const uint32_t number = bind(BindingType::kUniformTexelBuffer, a_.index, view, true, false);
     text_ += fmt::format("layout(set = 0, binding = {}) uniform {}textureBuffer {};\n", number,
                          is_signed ? "i" : "u", name);
     return name;
@@ -126,9 +126,9 @@ class Writer {
     if (text_.find(" " + name + ";") == std::string::npos) {
       const uint32_t number =
           bind(BindingType::kStorageBuffer, a_.index, ImageFormat::kNone, reads, writes);
-      text_ += fmt::format("layout(set = 0, binding = {0}, std430) {3}buffer Block{0} {{ {1} data[]; }} {2};\n",
-                           number, element, name,
-                           reads && writes ? "" : (writes ? "writeonly " : "readonly "));
+      text_ += fmt::format(
+          "layout(set = 0, binding = {0}, std430) {3}buffer Block{0} {{ {1} data[]; }} {2};\n",
+          number, element, name, reads && writes ? "" : (writes ? "writeonly " : "readonly "));
     }
     return name + ".data";
   }
@@ -139,23 +139,24 @@ class Writer {
 
   /// Bilinear from four fetches.
   void sample_by_fetches() {
-    const std::string size =
-        fmt::format("ivec2({}, {})", a_.resource->width, a_.resource->height);
+    const std::string size = fmt::format("ivec2({}, {})", a_.resource->width, a_.resource->height);
     const bool is_half4 = a_.resource->format == ImageFormat::kRgba16Float;
     if (is_half4 && a_.is_linear) {  // weighed when the numbers are asked for
-      function(fmt::format("SAMPLED_HALF4 sample_{}(vec2 uv)", a_.handle),
-               fmt::format("const Bilinear b = bilinear_at(uv, {0}); SAMPLED_HALF4 s; s.part = b.part; "
-                           "[[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = "
-                           "fetch_{1}(bilinear_texel(b, i, {0})); return s;",
-                           size, a_.handle));
+      function(
+          fmt::format("SAMPLED_HALF4 sample_{}(vec2 uv)", a_.handle),
+          fmt::format("const Bilinear b = bilinear_at(uv, {0}); SAMPLED_HALF4 s; s.part = b.part; "
+                      "[[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = "
+                      "fetch_{1}(bilinear_texel(b, i, {0})); return s;",
+                      size, a_.handle));
       return;
     }
-    function(fmt::format("{} sample_{}(vec2 uv)", is_half4 ? "SAMPLED_HALF4" : type()->fetched,
-                         a_.handle),
-             fmt::format("const Bilinear b = bilinear_at(uv, {0}); {2} sum = {2}(0); "
-                         "[[unroll]] for (int i = 0; i < 4; ++i) sum += bilinear_weight(b.part, i) * "
-                         "fetch_{1}(bilinear_texel(b, i, {0})); return {3};",
-                         size, a_.handle, type()->fetched, is_half4 ? "SAMPLED_HALF4(sum)" : "sum"));
+    function(
+        fmt::format("{} sample_{}(vec2 uv)", is_half4 ? "SAMPLED_HALF4" : type()->fetched,
+                    a_.handle),
+        fmt::format("const Bilinear b = bilinear_at(uv, {0}); {2} sum = {2}(0); "
+                    "[[unroll]] for (int i = 0; i < 4; ++i) sum += bilinear_weight(b.part, i) * "
+                    "fetch_{1}(bilinear_texel(b, i, {0})); return {3};",
+                    size, a_.handle, type()->fetched, is_half4 ? "SAMPLED_HALF4(sum)" : "sum"));
   }
 
   // --- images in buffers
@@ -180,9 +181,9 @@ class Writer {
         const char* kind = a_.resource->format == ImageFormat::kRgba8Snorm ? "ivec4"
                            : bytes == 8                                    ? "uvec2"
                                                                            : "uint";
-        function(fmt::format("{} fetch_{}(ivec2 at)", type()->fetched, a_.handle),
-                 fmt::format("const {} w = {}; return {};", kind, words,
-                             of(type()->from_words, "w")));
+        function(
+            fmt::format("{} fetch_{}(ivec2 at)", type()->fetched, a_.handle),
+            fmt::format("const {} w = {}; return {};", kind, words, of(type()->from_words, "w")));
         return;
       }
       case Verb::kFetch2:
@@ -197,10 +198,10 @@ class Writer {
                               view, pitch / per_fetch,
                               fetches == 1 ? "" : fmt::format("{} * ", fetches));
           for (uint32_t k = 0; k < per_fetch; ++k)
-            body += fmt::format("t[{}] = {}; ", i * per_fetch + k,
-                                of(type()->from_words,
-                                   bytes == 8 ? fmt::format("f{}.{}", i, k == 0 ? "xy" : "zw")
-                                              : fmt::format("f{}[{}]", i, k)));
+            body += fmt::format(
+                "t[{}] = {}; ", i * per_fetch + k,
+                of(type()->from_words, bytes == 8 ? fmt::format("f{}.{}", i, k == 0 ? "xy" : "zw")
+                                                  : fmt::format("f{}[{}]", i, k)));
         }
         function(fmt::format("void fetch{0}_{1}(ivec2 at, out {2} t[{0}])", count, a_.handle,
                              type()->fetched),
@@ -247,9 +248,10 @@ class Writer {
     const std::string at = fmt::format("at.y * {} + (at.x >> 1)", pitch / 2);
     if (bytes == 2) {  // rg8: both in a word
       function(signature,
-               fmt::format("const uvec2 p = unorm_codes(a), q = unorm_codes(b); {}[{}] = whole(p.x | p.y "
-                           "<< 8 | q.x << 16 | q.y << 24);",
-                           elements("uint", false, true), at));
+               fmt::format(
+                   "const uvec2 p = unorm_codes(a), q = unorm_codes(b); {}[{}] = whole(p.x | p.y "
+                   "<< 8 | q.x << 16 | q.y << 24);",
+                   elements("uint", false, true), at));
       return;
     }
     function(signature, fmt::format("{}[{}] = pair({}, {});", elements("PAIR", false, true), at,
@@ -262,14 +264,14 @@ class Writer {
   std::string read_image() {
     const std::string name = a_.handle + "_image";
     if (text_.find(" " + name + ";") != std::string::npos) return name;
-    const bool samples = uses(Verb::kSample) && is_filterable(a_.resource->format) && !a_.loads &&
-                         !a_.is_linear;
+    const bool samples =
+        uses(Verb::kSample) && is_filterable(a_.resource->format) && !a_.loads && !a_.is_linear;
     const char* sign = a_.resource->format == ImageFormat::kR32Uint ? "u" : "";
     if (a_.loads) {
-      text_ += fmt::format(
-          "layout(set = 0, binding = {}, {}) readonly uniform {}image2D {};\n",
-          bind(BindingType::kStorageImage, a_.index, ImageFormat::kNone, true, false),
-          image_format_info(a_.resource->format).glsl, sign, name);
+      text_ +=
+          fmt::format("layout(set = 0, binding = {}, {}) readonly uniform {}image2D {};\n",
+                      bind(BindingType::kStorageImage, a_.index, ImageFormat::kNone, true, false),
+                      image_format_info(a_.resource->format).glsl, sign, name);
     } else {
       text_ += fmt::format("layout(set = 0, binding = {}) uniform {}{}2D {};\n",
                            bind(samples ? BindingType::kSampler : BindingType::kSampledImage,
@@ -282,10 +284,11 @@ class Writer {
   std::string write_image(uint32_t resource, ImageFormat format, const char* suffix, bool reads) {
     const std::string name = a_.handle + suffix;
     if (text_.find(" " + name + ";") != std::string::npos) return name;
-    text_ += fmt::format("layout(set = 0, binding = {}, {}) {}uniform {}image2D {};\n",
-                         bind(BindingType::kStorageImage, resource, ImageFormat::kNone, reads, true),
-                         image_format_info(format).glsl, reads ? "" : "writeonly ",
-                         format == ImageFormat::kR32Uint ? "u" : "", name);
+    text_ +=
+        fmt::format("layout(set = 0, binding = {}, {}) {}uniform {}image2D {};\n",
+                    bind(BindingType::kStorageImage, resource, ImageFormat::kNone, reads, true),
+                    image_format_info(format).glsl, reads ? "" : "writeonly ",
+                    format == ImageFormat::kR32Uint ? "u" : "", name);
     return name;
   }
 
@@ -303,8 +306,9 @@ class Writer {
 
   void image(Verb verb) {
     const auto fetched = [&](const std::string& at) {
-      return of(type()->from_image, a_.loads ? fmt::format("imageLoad({}, {})", read_image(), at)
-                                             : fmt::format("texelFetch({}, {}, 0)", read_image(), at));
+      return of(type()->from_image, a_.loads
+                                        ? fmt::format("imageLoad({}, {})", read_image(), at)
+                                        : fmt::format("texelFetch({}, {}, 0)", read_image(), at));
     };
     switch (verb) {
       case Verb::kFetch:
@@ -377,8 +381,9 @@ class Writer {
     switch (verb) {
       case Verb::kCodes:
         function(fmt::format("ivec4 codes_{}(int i)", h),
-                 as_texels ? fmt::format("return texelFetch({}, i);", texels(ImageFormat::kRgba8Sint))
-                           : fmt::format("return signed_bytes({});", word("i")));
+                 as_texels
+                     ? fmt::format("return texelFetch({}, i);", texels(ImageFormat::kRgba8Sint))
+                     : fmt::format("return signed_bytes({});", word("i")));
         return;
       case Verb::kWord:
         function(fmt::format("uint word_{}(int i)", h),
@@ -388,9 +393,10 @@ class Writer {
         return;
       case Verb::kWords4:
         function(fmt::format("uvec4 words4_{}(int i)", h),
-                 as_texels ? fmt::format("return texelFetch({}, i);", texels(ImageFormat::kRgba32Uint))
-                           : fmt::format("return uvec4({}, {}, {}, {});", word("4 * i"),
-                                         word("4 * i + 1"), word("4 * i + 2"), word("4 * i + 3")));
+                 as_texels
+                     ? fmt::format("return texelFetch({}, i);", texels(ImageFormat::kRgba32Uint))
+                     : fmt::format("return uvec4({}, {}, {}, {});", word("4 * i"),
+                                   word("4 * i + 1"), word("4 * i + 2"), word("4 * i + 3")));
         return;
       case Verb::kElement:
         function(fmt::format("int element_{}(int i)", h),

@@ -64,9 +64,11 @@ struct AccessedResource {
   std::vector<Verb> verbs;
   uint32_t frames_back = 0;
   AccessForm form = AccessForm::kImage;
-  bool is_linear = false;  ///< texels of the frame lie in buffers (SHALE_LINEAR), if not of this image
+  bool is_linear =
+      false;           ///< texels of the frame lie in buffers (SHALE_LINEAR), if not of this image
   bool loads = false;  ///< in image form: read as a storage image, without a sampler
-  std::optional<uint32_t> mirror;  ///< in image form: the output of this format that gets what is stored
+  std::optional<uint32_t>
+      mirror;  ///< in image form: the output of this format that gets what is stored
 };
 
 /// Declarations and functions; the bindings that they declare go behind `bindings`, numbered on.

@@ -193,8 +193,8 @@ Result<FrameView> parse_view(const Fields& fields) {
 Result<void> refuse_old_fields(const Fields& fields) {
   for (const char* old : {"bindings", "copy", "clear", "linear", "texels"})
     if (fields.has(old))
-      return bad_input(fields.where(), "\"{}\" is of schema shale-frame/1: see compiler/driver/README.md",
-                       old);
+      return bad_input(fields.where(),
+                       "\"{}\" is of schema shale-frame/1: see compiler/driver/README.md", old);
   return {};
 }
 
@@ -412,8 +412,10 @@ Result<Frame> parse_frame(const std::string& text) {
   const Fields root(json, "frame");
   SHALE_TRY(const std::string schema, root.text("schema"));
   if (schema == "shale-frame/1")
-    return bad_input("frame", "schema \"shale-frame/1\" is no longer read: \"bindings\", copies and "
-                     "linear images became \"reads\" and \"writes\", see compiler/driver/README.md");
+    return bad_input(
+        "frame",
+        "schema \"shale-frame/1\" is no longer read: \"bindings\", copies and "
+        "linear images became \"reads\" and \"writes\", see compiler/driver/README.md");
   if (schema != "shale-frame/2")
     return bad_input("frame", "schema \"{}\" is unknown, expected \"shale-frame/2\"", schema);
   Frame frame;

@@ -34,7 +34,7 @@ struct FrameImage {
   ImageFormat format = ImageFormat::kNone;
   FrameSize size;
   uint32_t history_depth = 0;  ///< 2 or more for history images
-  std::string shows;  ///< of an output: the image whose texels of this frame it gets
+  std::string shows;           ///< of an output: the image whose texels of this frame it gets
 };
 
 struct FrameTensor {
@@ -56,7 +56,8 @@ struct FrameBinding {
 struct FramePass {
   std::string name;
   std::string graph;  ///< model file, relative to frame.json; empty for a pass of shaders
-  std::map<std::string, std::string> tensors;  ///< of a graph: names in the frame of its inputs and outputs
+  std::map<std::string, std::string>
+      tensors;         ///< of a graph: names in the frame of its inputs and outputs
   std::string shader;  ///< path, relative to frame.json
   std::string over;    ///< image or tensor whose pixels are the invocations; empty with `over_size`
   std::optional<FrameSize> over_size;

@@ -170,7 +170,8 @@ Result<UsedPass> used_pass(const Variant& variant, const FramePass& pass,
 }
 
 /// A binding against what it names.
-Result<void> check_binding(const FramePass& pass, const FrameBinding& from, const Resource& resource) {
+Result<void> check_binding(const FramePass& pass, const FrameBinding& from,
+                           const Resource& resource) {
   const std::string where = pass_label(pass);
   if (from.writes &&
       (resource.category == Category::kImageInput || resource.category == Category::kOutput))
@@ -187,24 +188,26 @@ Result<void> check_binding(const FramePass& pass, const FrameBinding& from, cons
 
 /// Of each image the places where passes reach it: its own resource, or a linear copy of a host's image.
 struct Places {
-  bool is_linear = false;                   ///< SHALE_LINEAR: buffers are preferred
-  std::vector<uint32_t> accessed;           ///< resource by resource
-  std::vector<AccessForm> forms;            ///< resource by resource
+  bool is_linear = false;                             ///< SHALE_LINEAR: buffers are preferred
+  std::vector<uint32_t> accessed;                     ///< resource by resource
+  std::vector<AccessForm> forms;                      ///< resource by resource
   std::vector<std::pair<uint32_t, uint32_t>> copies;  ///< from a host's image to its linear copy
 };
 
 bool fits_buffer(const Resource& image, const DeviceProfile& profile) {
   const uint64_t bytes = uint64_t{linear_pitch(image.format, image.width)} * image.height *
                          image_format_info(image.format).texel_bytes;
-  return bytes <= profile.caps.max_storage_range_bytes && bytes / 4 <= profile.caps.max_texel_elements;
+  return bytes <= profile.caps.max_storage_range_bytes &&
+         bytes / 4 <= profile.caps.max_texel_elements;
 }
 
 /// Texels lie in buffers where kernels run on a CPU and the largest image fits one.
 bool prefers_buffers(const Variant& variant, const DeviceProfile& profile) {
-  return profile.literal_weights &&
-         std::all_of(variant.resources.begin(), variant.resources.end(), [&](const Resource& resource) {
-           return !is_image(resource.category) || fits_buffer(resource, profile);
-         });
+  return profile.literal_weights && std::all_of(variant.resources.begin(), variant.resources.end(),
+                                                [&](const Resource& resource) {
+                                                  return !is_image(resource.category) ||
+                                                         fits_buffer(resource, profile);
+                                                });
 }
 
 Places choose_places(Plan& plan, const std::vector<UsedPass>& passes, bool is_linear) {
@@ -227,9 +230,8 @@ Places choose_places(Plan& plan, const std::vector<UsedPass>& passes, bool is_li
   for (uint32_t i = 0; i < count; ++i) {
     places.accessed.push_back(i);
     const Resource& image = variant.resources[i];
-    const bool linear =
-        in_buffer[i] && (!is_image(image.category) ||
-                         (is_read[i] && image.category != Category::kImageOutput));
+    const bool linear = in_buffer[i] && (!is_image(image.category) ||
+                                         (is_read[i] && image.category != Category::kImageOutput));
     places.forms.push_back(linear ? AccessForm::kBuffer : AccessForm::kImage);
     if (!linear || !is_image(image.category)) continue;
     const uint64_t bytes = uint64_t{linear_pitch(image.format, image.width)} * image.height *
@@ -295,7 +297,8 @@ Binding transfer_end(uint32_t number, uint32_t resource, bool writes) {
           .frames_back = 0};
 }
 
-void add_copy(Plan& plan, uint32_t program, uint32_t from, uint32_t to, const DeviceProfile& profile) {
+void add_copy(Plan& plan, uint32_t program, uint32_t from, uint32_t to,
+              const DeviceProfile& profile) {
   Dispatch copy;
   copy.kernel = kCopyKernel;
   copy.bindings = {transfer_end(0, from, false), transfer_end(1, to, true)};
@@ -336,7 +339,8 @@ Result<FrameExtent> grid_of(const Variant& variant, const FramePass& pass,
 }
 
 /// The output that shows an image, if one does.
-std::optional<uint32_t> shown_as(const Variant& variant, const Frame& frame, const std::string& image) {
+std::optional<uint32_t> shown_as(const Variant& variant, const Frame& frame,
+                                 const std::string& image) {
   for (const FrameImage& each : frame.images)
     if (each.shows == image)
       for (uint32_t i = 0; i < variant.resources.size(); ++i)
@@ -367,8 +371,8 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places&
     accessed.form = places.forms[index];
     accessed.is_linear = places.is_linear;
     // On a CPU driver a storage image is read at half the cost; the host's come for sampling.
-    accessed.loads = options.profile.literal_weights &&
-                     accessed.resource->category != Category::kImageInput;
+    accessed.loads =
+        options.profile.literal_weights && accessed.resource->category != Category::kImageInput;
     const std::optional<uint32_t> shown = shown_as(plan.variant, options.frame, from.name);
     if (from.writes && shown) {
       if (accessed.form == AccessForm::kImage)
@@ -383,12 +387,15 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places&
                   [](const Binding& binding) { return binding.binding >= kMaxBindings; }))
     return bad_input(pass_label(pass), "needs {} bindings, expected at most {}",
                      dispatch.bindings.size(), kMaxBindings);
-  if (accessors.find("int8_t") != std::string::npos)
+  if (std::any_of(used.verbs.begin(), used.verbs.end(), [](const std::vector<Verb>& verbs) {
+        return std::find(verbs.begin(), verbs.end(), Verb::kStoreElement) != verbs.end();
+      }))
     used.source.defines.emplace_back("SHALE_STORES_ELEMENTS", "1");
   used.source.load = includes_of(pass, options.load_shader, std::move(accessors));
   dispatch.module = static_cast<uint32_t>(plan.sources.size());
   plan.sources.push_back(std::move(used.source));
-  add_segment(plan, SegmentKind::kCompute, program, pass.name, std::move(dispatch), options.profile);
+  add_segment(plan, SegmentKind::kCompute, program, pass.name, std::move(dispatch),
+              options.profile);
   for (const auto& [from, to] : shows) add_copy(plan, program, from, to, options.profile);
   return {};
 }
@@ -404,7 +411,8 @@ Result<void> check_shown(const Variant& variant, const Frame& frame) {
     if (!is_image(source.category) || source.category == Category::kImageInput ||
         source.category == Category::kImageOutput || source.format != shown.format ||
         source.width != shown.width || source.height != shown.height)
-      return bad_input(where, "shows \"{}\", which is no internal or history image of its format and size",
+      return bad_input(where,
+                       "shows \"{}\", which is no internal or history image of its format and size",
                        image.shows);
     for (const FrameImage& other : frame.images)
       if (&other != &image && other.shows == image.shows)
@@ -420,8 +428,8 @@ Result<void> check_shown(const Variant& variant, const Frame& frame) {
 
 }  // namespace
 
-Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs, const LoweringOptions& options,
-                         WeightBlob& weights) {
+Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
+                         const LoweringOptions& options, WeightBlob& weights) {
   Variant& variant = plan.variant;
   const Frame& frame = options.frame;
   for (const PlannedGraph& graph : graphs) SHALE_TRY_VOID(plan_interface(plan, graph));

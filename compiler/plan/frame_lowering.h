@@ -23,7 +23,7 @@ struct LoweringOptions {
 
 /// Plans all programs of a frame: images, passes, copies and the graphs, which lie in the order of graph_files().
 /// Errors: kBadInput naming pass and image for what does not fit together; those of shaders that do not load or compile.
-Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs, const LoweringOptions& options,
-                         WeightBlob& weights);
+Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
+                         const LoweringOptions& options, WeightBlob& weights);
 
 }  // namespace shale

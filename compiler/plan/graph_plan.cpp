@@ -77,8 +77,7 @@ class Tensors {
   Tensors(Plan& plan, const PlannedGraph& graph, WeightBlob& weights)
       : plan_(plan), graph_(*graph.graph), weights_(weights) {
     const auto known = [&](ValueId id) {
-      const Resource* resource =
-          find_resource(plan, interface_name(graph, graph_.value(id).name));
+      const Resource* resource = find_resource(plan, interface_name(graph, graph_.value(id).name));
       index_.emplace(id, static_cast<uint32_t>(resource - plan.variant.resources.data()));
     };
     for (const ValueId id : graph_.inputs) known(id);
@@ -133,8 +132,8 @@ Binding planned_binding(uint32_t number, const KernelBinding& from, uint32_t res
   return {.binding = number,
           .type = from.type,
           .resource = resource,
-          .view_format = from.type == BindingType::kUniformTexelBuffer ? from.view_format
-                                                                       : ImageFormat::kNone,
+          .view_format =
+              from.type == BindingType::kUniformTexelBuffer ? from.view_format : ImageFormat::kNone,
           .reads = !from.writes,
           .writes = from.writes,
           .frames_back = 0};
@@ -203,8 +202,8 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
     for (size_t part = 0; part < sources.size(); ++part) {
       KernelSource& source = sources[part];
       Dispatch dispatch;
-      dispatch.name = dispatch_name(plan, *graph.graph,
-                                    graph.graph->value(problem.group.result).name, part);
+      dispatch.name =
+          dispatch_name(plan, *graph.graph, graph.graph->value(problem.group.result).name, part);
       dispatch.kernel = family.name;
       dispatch.workgroups = source.workgroups;
       dispatch.cost = share(problem.cost, work_time_us(work, profile.ns), sources.size());

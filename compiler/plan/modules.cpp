@@ -74,8 +74,9 @@ Result<void> build_modules(Plan& plan, const ModuleOptions& options) {
   for (Segment& segment : variant.segments) {
     if (segment.kind == SegmentKind::kTransfer) continue;
     for (Dispatch& dispatch : segment.dispatches) {
-      SHALE_TRY_VOID(check_interface(modules[dispatch.module]->interface, dispatch, variant,
-                                     segment.kind == SegmentKind::kCompute ? param_bytes(variant) : 0));
+      SHALE_TRY_VOID(
+          check_interface(modules[dispatch.module]->interface, dispatch, variant,
+                          segment.kind == SegmentKind::kCompute ? param_bytes(variant) : 0));
       dispatch.module = indices[dispatch.module];
     }
   }

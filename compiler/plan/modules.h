@@ -8,9 +8,10 @@
 namespace shale {
 
 struct ModuleOptions {
-  bool optimize = true;         ///< by spirv-opt, where a source asks for it
-  bool validate_always = false; ///< modules with thousands of products, too
-  uint32_t subgroup_size = 0;  ///< of the target: kernels with matrices have one subgroup to a workgroup
+  bool optimize = true;          ///< by spirv-opt, where a source asks for it
+  bool validate_always = false;  ///< modules with thousands of products, too
+  uint32_t subgroup_size =
+      0;  ///< of the target: kernels with matrices have one subgroup to a workgroup
   /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
   std::function<bool(size_t done, size_t total)> progress;
 };

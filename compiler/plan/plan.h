@@ -18,8 +18,8 @@ struct ModuleSource {
   std::string glsl;
   OptimizeBy optimize = OptimizeBy::kSpirvOpt;
   Defines defines;
-  std::string where;    ///< names it in messages
-  IncludeLoader load;   ///< beside shaders/include
+  std::string where;   ///< names it in messages
+  IncludeLoader load;  ///< beside shaders/include
 };
 
 /// A variant whose modules are still sources: Dispatch::module counts `sources`. Everything else is final: resources with

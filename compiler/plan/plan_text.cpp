@@ -5,15 +5,16 @@ namespace {
 
 std::string resource_line(const Resource& resource) {
   if (!is_image(resource.category)) {
-    std::string text = fmt::format("{}{}", dtype_info(resource.dtype).name, shape_text(resource.shape));
+    std::string text =
+        fmt::format("{}{}", dtype_info(resource.dtype).name, shape_text(resource.shape));
     if (resource.quantization)
       text += fmt::format(" {:.9g} * (q - {})", resource.quantization->scale,
                           resource.quantization->zero_point);
     if (resource.history_depth != 0) text += fmt::format(" ring {}", resource.history_depth);
     return text;
   }
-  std::string text = fmt::format("{} {}x{}", image_format_info(resource.format).name, resource.width,
-                                 resource.height);
+  std::string text = fmt::format("{} {}x{}", image_format_info(resource.format).name,
+                                 resource.width, resource.height);
   if (resource.history_depth != 0) text += fmt::format(" ring {}", resource.history_depth);
   if (is_linear(resource)) text += fmt::format(" in a buffer of {} bytes", resource.size_bytes);
   return text;
@@ -53,11 +54,12 @@ std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, cons
   if (segment.kind != SegmentKind::kTransfer) text += fmt::format(" {}x{}x{}", x, y, z);
   text += '\n';
   for (const Binding& binding : dispatch.bindings)
-    text += fmt::format("      {} {} {}{} as {}\n", binding.binding,
-                        binding.reads && binding.writes ? "updates" : (binding.writes ? "writes" : "reads"),
-                        plan.variant.resources[binding.resource].name,
-                        binding.frames_back == 0 ? "" : fmt::format(", {} back", binding.frames_back),
-                        binding_kind(binding));
+    text += fmt::format(
+        "      {} {} {}{} as {}\n", binding.binding,
+        binding.reads && binding.writes ? "updates" : (binding.writes ? "writes" : "reads"),
+        plan.variant.resources[binding.resource].name,
+        binding.frames_back == 0 ? "" : fmt::format(", {} back", binding.frames_back),
+        binding_kind(binding));
   return text;
 }
 
@@ -68,8 +70,8 @@ std::string print_plan(const Plan& plan) {
   std::string text = fmt::format("plan for {}: {} resources, {} sources\n", variant.target,
                                  variant.resources.size(), plan.sources.size());
   for (const Param& param : variant.params)
-    text += fmt::format("  param {} at {}: {} of {}\n", param.name, param.offset_bytes, param.components,
-                        param.is_integer ? "int" : "float");
+    text += fmt::format("  param {} at {}: {} of {}\n", param.name, param.offset_bytes,
+                        param.components, param.is_integer ? "int" : "float");
   text += "resources\n";
   for (uint32_t i = 0; i < variant.resources.size(); ++i) {
     const Resource& resource = variant.resources[i];
@@ -92,7 +94,8 @@ std::string print_plan(const Plan& plan) {
     for (size_t s = 0; s < variant.segments.size(); ++s) {
       if (variant.segments[s].program != program) continue;
       for (size_t d = 0; d < variant.segments[s].dispatches.size(); ++d)
-        text += dispatch_text(variant.segments[s].dispatches[d], variant.segments[s], plan, first[s] + d);
+        text += dispatch_text(variant.segments[s].dispatches[d], variant.segments[s], plan,
+                              first[s] + d);
     }
   }
   return text;

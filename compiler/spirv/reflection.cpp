@@ -12,7 +12,7 @@ struct Id {
   uint32_t opcode = 0;
   std::vector<uint32_t> operands;  ///< behind the result id; for types and constants
   uint32_t set = 0, binding = UINT32_MAX;
-  bool is_block = false;        ///< decorated Block
+  bool is_block = false;                 ///< decorated Block
   std::map<uint32_t, uint32_t> offsets;  ///< of members
   uint32_t array_stride = 0, matrix_stride = 0;
 };
@@ -45,7 +45,8 @@ class Reflector {
       if (operands.size() <= result) return;
       Id& id = ids_[operands[result]];
       id.opcode = opcode;
-      id.operands.assign(operands.begin() + static_cast<std::ptrdiff_t>(result) + 1, operands.end());
+      id.operands.assign(operands.begin() + static_cast<std::ptrdiff_t>(result) + 1,
+                         operands.end());
     };
     switch (opcode) {
       case spv::OpDecorate:
@@ -91,8 +92,7 @@ class Reflector {
       case spv::OpTypeInt:
       case spv::OpTypeFloat: return operand(id, 0) / 8;
       case spv::OpTypeVector: return bytes_of(operand(id, 0)) * operand(id, 1);
-      case spv::OpTypeArray:
-        return id.array_stride * operand(ids_[operand(id, 1)], 0);
+      case spv::OpTypeArray: return id.array_stride * operand(ids_[operand(id, 1)], 0);
       case spv::OpTypeStruct: {
         uint32_t end = 0;
         for (const auto& [member, offset] : id.offsets)
@@ -154,7 +154,8 @@ class Reflector {
     const Id& image = ids_[type];
     const std::string at = fmt::format("{}, binding {}", where_, declared.binding);
     if (storage == spv::StorageClassUniform || image.opcode != spv::OpTypeImage)
-      return unsupported(at, "the shader declares a descriptor that is no image and no storage buffer");
+      return unsupported(at,
+                         "the shader declares a descriptor that is no image and no storage buffer");
     // Sampled type, dimension, depth, arrayed, multisampled, sampled, format.
     declared.numbers = numbers_of(operand(image, 0));
     const bool is_storage = operand(image, 5) == 2;
@@ -217,11 +218,12 @@ Result<Interface> reflect(const Spirv& words, const std::string& where) {
   return Reflector(words, where).run();
 }
 
-Result<void> check_interface(const Interface& interface, const Dispatch& dispatch, const Variant& variant,
-                             uint32_t param_bytes) {
+Result<void> check_interface(const Interface& interface, const Dispatch& dispatch,
+                             const Variant& variant, uint32_t param_bytes) {
   const std::string label = fmt::format("pass \"{}\"", dispatch.name);
   if (interface.push_constant_bytes > param_bytes)
-    return bad_input(label, "the shader declares {} bytes of push constants, the parameters have {}",
+    return bad_input(label,
+                     "the shader declares {} bytes of push constants, the parameters have {}",
                      interface.push_constant_bytes, param_bytes);
   for (const DeclaredBinding& declared : interface.bindings) {
     const std::string where = fmt::format("{}, binding {}", label, declared.binding);
@@ -244,8 +246,9 @@ Result<void> check_interface(const Interface& interface, const Dispatch& dispatc
     const ImageFormat format =
         declared.type == BindingType::kUniformTexelBuffer ? bound->view_format : resource.format;
     if (declared.numbers != class_of(format))
-      return bad_input(where, "the shader reads {}, but \"{}\" has {} ({})", class_name(declared.numbers),
-                       resource.name, class_name(class_of(format)), image_format_info(format).name);
+      return bad_input(where, "the shader reads {}, but \"{}\" has {} ({})",
+                       class_name(declared.numbers), resource.name, class_name(class_of(format)),
+                       image_format_info(format).name);
     if (declared.format != ImageFormat::kNone && declared.format != format)
       return bad_input(where, "the shader declares the format {}, but \"{}\" has {}",
                        image_format_info(declared.format).name, resource.name,

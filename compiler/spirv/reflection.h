@@ -15,8 +15,8 @@ enum class NumericClass : uint8_t { kNone, kFloat, kInt, kUint };
 struct DeclaredBinding {
   uint32_t set = 0, binding = 0;
   BindingType type = BindingType::kStorageBuffer;
-  NumericClass numbers = NumericClass::kNone;        ///< of texels
-  ImageFormat format = ImageFormat::kNone;           ///< of storage images; kNone if it is unknown
+  NumericClass numbers = NumericClass::kNone;  ///< of texels
+  ImageFormat format = ImageFormat::kNone;     ///< of storage images; kNone if it is unknown
   uint32_t array_size = 1;
 };
 
@@ -33,7 +33,7 @@ Result<Interface> reflect(const Spirv& words, const std::string& where);
 /// is: kind, numeric class, format. What is bound and not declared is allowed: code that the optimizer took away.
 /// `param_bytes`: push constants of the variant.
 /// Errors: kBadInput naming dispatch, binding, found and expected.
-Result<void> check_interface(const Interface& interface, const Dispatch& dispatch, const Variant& variant,
-                             uint32_t param_bytes);
+Result<void> check_interface(const Interface& interface, const Dispatch& dispatch,
+                             const Variant& variant, uint32_t param_bytes);
 
 }  // namespace shale

@@ -122,10 +122,10 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   for (const MatrixProduct& p : r.matrix_products) products.emplace_back(p.m, p.n, p.k);
   const auto matrix_products =
       products.empty() ? 0 : builder.CreateVectorOfStructs(products.data(), products.size());
-  const auto requirements = fbs::CreateRequirements(
-      builder, r.features.bits, r.workgroup_invocations, r.shared_bytes, r.storage_range_bytes,
-      r.texel_elements, r.storage_buffers, r.texel_buffers, r.storage_images, r.subgroup_size,
-      matrix_products);
+  const auto requirements =
+      fbs::CreateRequirements(builder, r.features.bits, r.workgroup_invocations, r.shared_bytes,
+                              r.storage_range_bytes, r.texel_elements, r.storage_buffers,
+                              r.texel_buffers, r.storage_images, r.subgroup_size, matrix_products);
   const auto resources = write_all<fbs::Resource>(builder, v.resources, write_resource);
   const auto segments = write_all<fbs::Segment>(builder, v.segments, write_segment);
   const auto modules = write_all<fbs::Module>(builder, v.modules, write_module);

@@ -270,7 +270,7 @@ std::span<const Segment> program_segments(const Variant& variant, uint32_t progr
 struct Provenance {
   uint64_t model_hash = 0;  ///< stable_hash of the model file
   std::string model_name;
-  std::string compiler;  ///< "shale 0.1.0"
+  std::string compiler;  ///< "shale 0.2.0"
   std::string options;   ///< canonical text of the options that shape the result
   bool operator==(const Provenance&) const = default;
 };

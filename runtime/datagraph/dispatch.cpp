@@ -344,7 +344,7 @@ void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const K
       vk.CmdFillBuffer(commands, first.buffer, first.offset, image.size_bytes, 0);
     else
       vk.CmdClearColorImage(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, &zero, 1,
-                           &vk::kWholeImage);
+                            &vk::kWholeImage);
     return;
   }
   const Target to = target(transfer.bindings[1]);

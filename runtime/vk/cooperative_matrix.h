@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "ir/package/caps.h"
-
 #include "runtime/vk/functions.h"
 
 namespace shale::vk {

@@ -69,7 +69,8 @@ inline CompileOptions frame_options(const std::string& json,
   CompileOptions options;
   options.optimize_spirv = false;
   options.frame = must(parse_frame(json), json);
-  options.load_shader = [shaders = std::move(shaders)](const std::string& path) -> Result<std::string> {
+  options.load_shader = [shaders =
+                             std::move(shaders)](const std::string& path) -> Result<std::string> {
     const auto found = shaders.find(path);
     if (found == shaders.end()) return io_error(path, "cannot be read");
     return found->second;

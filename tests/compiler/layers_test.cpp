@@ -38,7 +38,8 @@ std::string refusal(std::string_view json, int64_t scale = 2) {
 /// The graph must be legal and cost what the list of layers says.
 void expect_graph_agrees(const std::string& name, std::span<const Layer> layers, int64_t h,
                          int64_t w) {
-  const Result<Graph> graph = graph_of_layers("layers", layers, h, w);  // `name` may be a text of lines
+  const Result<Graph> graph =
+      graph_of_layers("layers", layers, h, w);  // `name` may be a text of lines
   ASSERT_TRUE(graph) << name << ": " << graph.error().text();
   const Result<void> legal = verify(*graph);
   ASSERT_TRUE(legal) << name << ": " << legal.error().text();

@@ -1495,7 +1495,8 @@ TEST(SpirvGraph, ReadsModulesOfOtherProducers) {
   return %features
 }
 )");
-  const auto pool = modules_in(must(read_file(SHALE_SOURCE_DIR "/tests/golden/vgf/pool_clamp_graph.vgf")));
+  const auto pool =
+      modules_in(must(read_file(SHALE_SOURCE_DIR "/tests/golden/vgf/pool_clamp_graph.vgf")));
   ASSERT_EQ(pool.size(), 1u);
   EXPECT_EQ(outcome(pool[0]), R"(graph pool_clamp {
   input %in0 : i8[1,8,8,4]
@@ -1504,7 +1505,8 @@ TEST(SpirvGraph, ReadsModulesOfOtherProducers) {
   return %out0
 }
 )");
-  const auto mixed = modules_in(must(read_file(SHALE_SOURCE_DIR "/tests/golden/vgf/compute_graph_compute_sequence.vgf")));
+  const auto mixed = modules_in(
+      must(read_file(SHALE_SOURCE_DIR "/tests/golden/vgf/compute_graph_compute_sequence.vgf")));
   ASSERT_EQ(mixed.size(), 2u);
   EXPECT_EQ(outcome(mixed[0]), R"(graph main {
   input %a : i8[1,4,4,8]

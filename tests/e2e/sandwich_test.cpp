@@ -12,6 +12,7 @@
 #include "ir/base/file.h"
 #include "ir/text/text.h"
 #include "tests/support/source_folder.h"
+#include "tests/support/tool_device_test.h"
 #include "tests/support/vulkan_fixture.h"
 #include "tools/eval/sequence.h"
 #include "tools/eval/tonemap.h"
@@ -91,26 +92,8 @@ Graph stand_in(const Kind& kind, uint64_t seed) {
   return must(parse_text(text + "  return " + results + "\n}\n"));
 }
 
-/// One device for all tests, under validation where the layer is installed.
-class SandwichTest : public testing::Test {
+class SandwichTest : public ToolDeviceTest<testing::Test> {
  protected:
-  static void SetUpTestSuite() {
-    Result<ToolDevice> device = ToolDevice::open({.name = "", .cache = "", .validation = true});
-    if (!device) device = ToolDevice::open({});
-    if (device) device_ = new ToolDevice(*std::move(device));
-  }
-  static void TearDownTestSuite() {
-    delete device_;
-    device_ = nullptr;
-  }
-  void SetUp() override {
-    if (!device_) GTEST_SKIP() << "no Vulkan device";
-  }
-  void TearDown() override {
-    if (!device_) return;
-    EXPECT_EQ(device_->take_validation_messages(), std::vector<std::string>{});
-  }
-
   static std::unique_ptr<Player> player_of(const std::string& folder, std::optional<Graph> graph,
                                            Extent render, Extent output) {
     CompileOptions options;
@@ -129,10 +112,7 @@ class SandwichTest : public testing::Test {
     return player_of(models() + kind.model, stand_in(kind, seed), render, output);
   }
   static std::string models() { return source_folder() + "/models/"; }
-
-  static ToolDevice* device_;
 };
-ToolDevice* SandwichTest::device_ = nullptr;
 
 using Color = std::array<float, 3>;
 

@@ -629,7 +629,9 @@ const BadPackage kBadPackages[] = {
     {"UnderstatedImages", [](Package& p) { variant(p).requirements.storage_images = 1; },
      "variant 0: storage_images is 1, the bindings need 2"},
     {"MatricesWithoutFeature",
-     [](Package& p) { variant(p).requirements.matrix_products = {{16, 16, 32}}; },
+     [](Package& p) {
+       variant(p).requirements.matrix_products = {{16, 16, 32}};
+     },
      "variant 0: requirements name 1 products of matrices, and do not need cooperativeMatrix"},
     {"FeatureWithoutMatrices",
      [](Package& p) { variant(p).requirements.features.add(Feature::kCooperativeMatrix); },

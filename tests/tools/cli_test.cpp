@@ -389,8 +389,8 @@ TEST_F(Cli, ReportCountsTheSrpoParameters) {
 }
 
 TEST_F(Cli, ReportReproducesThePublishedBudget) {
-  const nlohmann::json json =
-      nlohmann::json::parse(shale("report " + kModels + "/nss_v0_1 --render 960x540 --passes-ms 1.4 --json").text);
+  const nlohmann::json json = nlohmann::json::parse(
+      shale("report " + kModels + "/nss_v0_1 --render 960x540 --passes-ms 1.4 --json").text);
   const nlohmann::json& v0_1 = json["files"][0];
   EXPECT_NEAR(v0_1["gop"].get<double>(), 13.09, 0.005);
   EXPECT_DOUBLE_EQ(v0_1["budget"]["available_gop"], 26.0) << "(4.0 - 1.4) ms x 10 TOP/s";

@@ -9,46 +9,26 @@
 #include <nlohmann/json.hpp>
 
 #include "ir/base/file.h"
+#include "tests/support/folder_test.h"
 
 namespace shale {
 namespace {
 
 namespace fs = std::filesystem;
 
-class OutputsTest : public testing::Test {
+class OutputsTest : public FolderTest {
  protected:
-  void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) /
-              fmt::format("shale_outputs_{}",
-                          testing::UnitTest::GetInstance()->current_test_info()->name());
-    fs::remove_all(folder_);
-    fs::create_directories(folder_);
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-  std::string path(const std::string& name) const { return (folder_ / name).string(); }
-  void write(const std::string& name, const std::string& text) const {
-    std::ofstream(path(name)) << text;
-  }
   std::string read(const std::string& name) const {
     const Result<std::string> text = read_text(path(name));
     return text ? *text : text.error().text();
   }
 
-  /// Runs the program in the folder; what it says goes to the file "said".
-  int shale(const std::string& arguments) const {
-    const int status = std::system(
-        fmt::format("cd {} && {} {} > said 2>&1", folder_.string(), SHALE_PROGRAM, arguments)
-            .c_str());
-    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-  }
   /// A grey picture of this size.
   void picture(const std::string& name, int grey) const {
     std::string text = "P6 8 8 255\n";  // what stb reads, whatever its suffix
     text.append(8 * 8 * 3, static_cast<char>(grey));
     write(name, text);
   }
-
-  fs::path folder_;
 };
 
 const std::string kSmall = SHALE_SOURCE_DIR "/tests/tools/small.tir";

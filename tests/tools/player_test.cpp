@@ -8,6 +8,7 @@
 #include <fstream>
 
 #include "ir/base/file.h"
+#include "tests/support/folder_test.h"
 
 namespace shale {
 namespace {
@@ -37,32 +38,18 @@ void main() {
          ";\n  store_output(at, " + texel + ");\n}\n";
 }
 
-class PlayerTest : public testing::Test {
+class PlayerTest : public FolderTest {
  protected:
   void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) /
-              fmt::format("shale_player_{}",
-                          testing::UnitTest::GetInstance()->current_test_info()->name());
-    fs::remove_all(folder_);
-    fs::create_directories(folder_);
-    std::ofstream(folder_ / "in.ppm") << "P6 16 8 255\n" << std::string(16 * 8 * 3, 'x');
+    FolderTest::SetUp();
+    write("in.ppm", "P6 16 8 255\n" + std::string(16 * 8 * 3, 'x'));
   }
-  void TearDown() override { fs::remove_all(folder_); }
-
   void write_sandwich(const std::string& color, const std::string& output,
                       const std::string& texel) const {
-    std::ofstream(folder_ / "frame.json") << frame_json(color, output);
-    std::ofstream(folder_ / "fill.comp") << shader(color, texel);
+    write("frame.json", frame_json(color, output));
+    write("fill.comp", shader(color, texel));
   }
-  int shale(const std::string& arguments) const {
-    const int status = std::system(
-        fmt::format("cd {} && {} {} > said 2>&1", folder_.string(), SHALE_PROGRAM, arguments)
-            .c_str());
-    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-  }
-  std::string said() const { return *read_text((folder_ / "said").string()); }
-
-  fs::path folder_;
+  std::string said() const { return *read_text(path("said")); }
 };
 
 TEST_F(PlayerTest, ResultsOfOneAndTwoChannelsAreShown) {
@@ -87,9 +74,9 @@ TEST_F(PlayerTest, ResultsOfOneAndTwoChannelsAreShown) {
 
 TEST_F(PlayerTest, LinearResultsOfOneAndTwoChannelsAreMeasured) {
   const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/motion.json";
-  for (const auto& [output, texel] :
-       {std::pair{"r16_float", "zero + 0.25"}, {"rg16_float", "half2(zero + vec2(0.25, 0.5))"},
-        std::pair{"r32_float", "zero + 0.25"}}) {
+  for (const auto& [output, texel] : {std::pair{"r16_float", "zero + 0.25"},
+                                      {"rg16_float", "half2(zero + vec2(0.25, 0.5))"},
+                                      std::pair{"r32_float", "zero + 0.25"}}) {
     write_sandwich("rgba16_float", output, texel);
     EXPECT_EQ(shale(fmt::format("eval {} -m . --frames 1 --no-time --validation", scene)), 0)
         << output << said();

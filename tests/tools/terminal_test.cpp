@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "ir/base/file.h"
+#include "tests/support/folder_test.h"
 
 namespace shale {
 namespace {
@@ -20,28 +21,8 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// The program in a folder of its own.
-class TerminalTest : public testing::Test {
+class TerminalTest : public FolderTest {
  protected:
-  void SetUp() override {
-    folder_ = fs::path(testing::TempDir()) /
-              fmt::format("shale_terminal_{}",
-                          testing::UnitTest::GetInstance()->current_test_info()->name());
-    fs::remove_all(folder_);
-    fs::create_directories(folder_);
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-  std::string path(const std::string& name) const { return (folder_ / name).string(); }
-  void write(const std::string& name, const std::string& text) const {
-    std::ofstream(path(name)) << text;
-  }
-
-  /// Exit code of a command line of the shell; 128 and more is a signal.
-  static int shell(const std::string& command) {
-    const int status = std::system(command.c_str());
-    return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-  }
-
   /// Starts the program; the signal goes to it after `delay`. Its exit code, and how long it took from
   /// the signal.
   struct End {
@@ -73,8 +54,6 @@ class TerminalTest : public testing::Test {
     return {WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status), seconds,
             errors ? *errors : errors.error().text()};
   }
-
-  fs::path folder_;
 };
 
 const std::string kSmall = SHALE_SOURCE_DIR "/tests/tools/small.tir";

@@ -33,7 +33,7 @@ struct Command {
 using Json = nlohmann::ordered_json;
 
 /// The line of `shale --version`.
-inline constexpr const char* kVersionText = "shale 0.1.0";
+inline constexpr const char* kVersionText = "shale 0.2.0";
 
 /// CLI::Range lets NaN pass.
 CLI::Validator number_in(double low, double high);

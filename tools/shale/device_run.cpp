@@ -101,11 +101,11 @@ std::vector<const Resource*> tensors_of(const Variant& variant, Category categor
 std::string driver_compiles(const Variant& variant) {
   size_t words = 0;
   for (const std::vector<uint32_t>& module : variant.modules) words += module.size();
-  return fmt::format(
-      "the driver compiles {} shader{} ({} kB){}", variant.modules.size(),
-      variant.modules.size() == 1 ? "" : "s", words * 4 / 1000,
-      words > kLongCompileWords ? ", which may take a minute where its cache has not got them"
-                                : "");
+  return fmt::format("the driver compiles {} shader{} ({} kB){}", variant.modules.size(),
+                     variant.modules.size() == 1 ? "" : "s", words * 4 / 1000,
+                     words > kLongCompileWords
+                         ? ", which may take a minute where its cache has not got them"
+                         : "");
 }
 
 std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames) {
@@ -172,9 +172,9 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
   SHALE_TRY(vk::Timestamps timestamps,
             vk::Timestamps::create(context, interval_count({&pipeline.graph(), 1})));
   SHALE_TRY(vk::Timestamps whole, vk::Timestamps::create(context, 1));
-  const auto state =
-      std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
-                                    std::move(timestamps), std::move(whole), "first run, " + compiles});
+  const auto state = std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
+                                                   std::move(timestamps), std::move(whole),
+                                                   "first run, " + compiles});
 
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;

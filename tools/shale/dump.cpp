@@ -349,7 +349,8 @@ Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
 Result<int> dump(const Arguments& arguments) {
   Outputs outputs;
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
-  SHALE_TRY(const ModelFiles model, load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
+  SHALE_TRY(const ModelFiles model,
+            load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
   const Result<Dump> result = dump_file(arguments, model);
   if (!result) return in_file(model.path, result.error());
   const std::string text = arguments.json ? json_text(result->json) : result->text;

@@ -202,7 +202,8 @@ Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const P
             FrameLoop::create(context, package, {.frames_in_flight = 1, .cache = device.cache()}));
   // The device may take another variant than the first.
   SHALE_TRY_VOID(sandwich_sizes(loop.variant()));
-  auto player = std::unique_ptr<Player>(new Player(context, std::move(loop), "first frame, " + compiles));
+  auto player =
+      std::unique_ptr<Player>(new Player(context, std::move(loop), "first frame, " + compiles));
   SHALE_TRY_VOID(player->make_images());
   return player;
 }

@@ -54,7 +54,8 @@ TEST(FrameJson, ReadsEveryField) {
 }
 
 TEST(FrameJson, ReadsProgramsWithGraphsOfTheirOwn) {
-  const Frame frame = must(parse_frame(R"({"schema": "shale-frame/2", "render": [4, 4], "output": [4, 4],
+  const Frame frame =
+      must(parse_frame(R"({"schema": "shale-frame/2", "render": [4, 4], "output": [4, 4],
     "tensors": [{"name": "flow", "scale": 0.5, "depth": 2}],
     "programs": [
       {"name": "upscale", "passes": [{"graph": "a.tosa"}]},
@@ -137,7 +138,8 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
        "frame.passes[0].reads[1]: the name \"color\" is used twice"},
       {"\"as\": \"old\"", "\"as\": \"o-l-d\"",
        "frame.passes[0].reads[1]: the name \"o-l-d\" is no identifier"},
-      {"\"frames_back\": 2", "\"frames_back\": 8", "frame.passes[0].reads[1]: \"frames_back\" is 8"},
+      {"\"frames_back\": 2", "\"frames_back\": 8",
+       "frame.passes[0].reads[1]: \"frames_back\" is 8"},
       {"\"writes\": [\"x\"]", "\"writes\": [{\"of\": \"x\"}]",
        "frame.passes[0].writes[0]: must be a name: only this frame's can be written"},
       {"{\"graph\": \"main\"}", "{\"graph\": 1}", "frame.passes[1]: \"graph\" must be a text"},

@@ -18,7 +18,8 @@ std::string golden(const std::string& name) {
 
 void expect_golden(const std::string& name, const std::string& text) {
   if (std::getenv("SHALE_WRITE_GOLDEN")) {
-    EXPECT_TRUE(write_file(golden(name), {reinterpret_cast<const uint8_t*>(text.data()), text.size()}));
+    EXPECT_TRUE(
+        write_file(golden(name), {reinterpret_cast<const uint8_t*>(text.data()), text.size()}));
     return;
   }
   EXPECT_EQ(text, must(read_text(golden(name)))) << name;
@@ -57,7 +58,9 @@ std::string plans_of_folder(const std::string& name, FrameExtent render) {
   const std::string folder = std::string(SHALE_SOURCE_DIR) + "/models/" + name;
   CompileOptions options;
   options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
-  options.load_shader = [folder](const std::string& path) { return read_text(folder + "/" + path); };
+  options.load_shader = [folder](const std::string& path) {
+    return read_text(folder + "/" + path);
+  };
   options.sizes.render = render;
   std::vector<uint8_t> model;
   if (!graph_files(*options.frame).empty()) model = must(read_file(folder + "/model.tosa"));
