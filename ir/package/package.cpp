@@ -381,8 +381,9 @@ uint32_t linear_pitch(ImageFormat format, uint32_t width) {
 }
 
 std::span<const Segment> program_segments(const Variant& variant, uint32_t program) {
-  const auto range = std::ranges::equal_range(variant.segments, program, {}, &Segment::program);
-  return {range.begin(), range.end()};
+  // Not equal_range: clang 14 cannot compile the subrange of GCC 12's library.
+  return {std::ranges::lower_bound(variant.segments, program, {}, &Segment::program),
+          std::ranges::upper_bound(variant.segments, program, {}, &Segment::program)};
 }
 
 uint32_t param_bytes(const Variant& variant) {
