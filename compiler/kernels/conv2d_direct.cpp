@@ -1,8 +1,9 @@
-// conv2d_s8_f64pair, conv2d_s8_f32exact, conv2d_s8_i32 and conv2d_s8_phase: sums of products with
-// the weights as literals in the code.
+// conv2d_s8_f64pair, conv2d_s8_f32exact, conv2d_s8_i32, conv2d_s8_phase and conv2d_s8_phase32: sums of
+// products with the weights as literals in the code.
 //
 // Meaning of a workgroup: a strip of 64 tiles of output pixels; one invocation makes all output
-// channels of one tile (of the module's slice of channels), 16 to 20 sums at a time in registers.
+// channels of one tile (of the module's slice of channels), as many sums at a time as the processor has
+// registers for.
 // Source: ours; figures in compiler/kernels/README.md.
 //
 // f64pair makes two tiles in one go: the byte of one and, 24 bits up, that of the other are one
@@ -12,7 +13,8 @@
 // arithmetic and needs no proof: TOSA's legal results wrap back into range.
 //
 // phase is for a convolution over a nearest upsampling: the output pixels over one source texel see
-// only a few source texels, and taps that fall on the same texel share one weight, their sum. 3x3 over x2 has 4 products in place of 9. An exact rewrite: integers are added in
+// only a few source texels, and taps that fall on the same texel share one weight, their sum. 3x3 over x2 has
+// 4 products in place of 9. An exact rewrite: integers are added in
 // another order, and the largest partial sum is no larger than before.
 #include <algorithm>
 #include <map>
@@ -107,7 +109,7 @@ std::optional<std::array<int64_t, 2>> upsampling(const Graph& graph, const Node&
 }
 
 /// The convolution over the operand of the upsampling before it, or nothing if there is none.
-std::optional<TapMap> phase_map(const LiteralConv& conv) {
+std::optional<TapMap> upsampled_map(const LiteralConv& conv, Arithmetic arithmetic) {
   const Graph& graph = conv.graph();
   const std::span<const int64_t> stride = conv.ints(Attr::kStride),
                                  dilation = conv.ints(Attr::kDilation),
@@ -162,7 +164,7 @@ std::optional<TapMap> phase_map(const LiteralConv& conv) {
           sum += conv.weight(oc, ky, kx, c);
     return sum;
   };
-  map.finish(Arithmetic::kDoublePair);
+  map.finish(arithmetic);
   return map;
 }
 
@@ -177,6 +179,12 @@ std::optional<TapMap> float_map(const LiteralConv& conv) {
 std::optional<TapMap> integer_map(const LiteralConv& conv) {
   return direct_map(conv, Arithmetic::kInt32);
 }
+std::optional<TapMap> pair_phase_map(const LiteralConv& conv) {
+  return upsampled_map(conv, Arithmetic::kDoublePair);
+}
+std::optional<TapMap> float_phase_map(const LiteralConv& conv) {
+  return upsampled_map(conv, Arithmetic::kFloat32);
+}
 
 /// Every sum is proven to stay where the arithmetic is exact.
 bool is_exact(const GroupProblem& problem, Arithmetic arithmetic) {
@@ -190,7 +198,7 @@ bool is_exact(const GroupProblem& problem, Arithmetic arithmetic) {
 template <MakeMap make>
 bool supports(const GroupProblem& problem, const DeviceProfile& profile) {
   if (!LiteralConv::supports(problem, profile)) return false;
-  const LiteralConv conv(problem);
+  const LiteralConv conv(problem, profile);
   const std::optional<TapMap> map = make(conv);
   if (!map || !is_exact(problem, map->arithmetic)) return false;
   if (map->arithmetic == Arithmetic::kDoublePair && !profile.caps.features.has(Feature::kFloat64))
@@ -201,73 +209,88 @@ bool supports(const GroupProblem& problem, const DeviceProfile& profile) {
 }
 
 template <MakeMap make>
-WorkTable work(const GroupProblem& problem) {
-  const LiteralConv conv(problem);
+WorkTable work(const GroupProblem& problem, const DeviceProfile& profile) {
+  const LiteralConv conv(problem, profile);
   const TapMap map = *make(conv);
-  return tap_work(problem, map, most_products(map.arithmetic));
+  return tap_work(problem, profile, map, most_products(map.arithmetic));
 }
 
 template <MakeMap make>
-std::vector<KernelSource> emit(const GroupProblem& problem) {
-  const LiteralConv conv(problem);
+std::vector<KernelSource> emit(const GroupProblem& problem, const DeviceProfile& profile) {
+  const LiteralConv conv(problem, profile);
   const TapMap map = *make(conv);
-  return emit_taps(problem, map, most_products(map.arithmetic));
+  return emit_taps(problem, profile, map, most_products(map.arithmetic));
+}
+
+template <MakeMap make>
+int64_t literals(const GroupProblem& problem, const DeviceProfile& profile) {
+  const LiteralConv conv(problem, profile);
+  return make(conv)->products(conv);
 }
 
 }  // namespace
 
-int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile&) {
-  const LiteralConv conv(problem);
-  return float_map(conv)->products(conv);
+int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile& profile) {
+  return literals<float_map>(problem, profile);
 }
 
-int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile&) {
-  const LiteralConv conv(problem);
-  return phase_map(conv)->products(conv);
+int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile& profile) {
+  return literals<float_phase_map>(problem, profile);
 }
 
 bool conv2d_f64pair_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<pair_map>(problem, profile);
 }
-WorkTable conv2d_f64pair_work(const GroupProblem& problem, const DeviceProfile&) {
-  return work<pair_map>(problem);
+WorkTable conv2d_f64pair_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return work<pair_map>(problem, profile);
 }
 Result<std::vector<KernelSource>> conv2d_f64pair_emit(const GroupProblem& problem,
-                                                      const DeviceProfile&) {
-  return emit<pair_map>(problem);
+                                                      const DeviceProfile& profile) {
+  return emit<pair_map>(problem, profile);
 }
 
 bool conv2d_f32exact_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<float_map>(problem, profile);
 }
-WorkTable conv2d_f32exact_work(const GroupProblem& problem, const DeviceProfile&) {
-  return work<float_map>(problem);
+WorkTable conv2d_f32exact_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return work<float_map>(problem, profile);
 }
 Result<std::vector<KernelSource>> conv2d_f32exact_emit(const GroupProblem& problem,
-                                                       const DeviceProfile&) {
-  return emit<float_map>(problem);
+                                                       const DeviceProfile& profile) {
+  return emit<float_map>(problem, profile);
 }
 
 bool conv2d_phase_supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  return supports<phase_map>(problem, profile);
+  return supports<pair_phase_map>(problem, profile);
 }
-WorkTable conv2d_phase_work(const GroupProblem& problem, const DeviceProfile&) {
-  return work<phase_map>(problem);
+WorkTable conv2d_phase_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return work<pair_phase_map>(problem, profile);
 }
 Result<std::vector<KernelSource>> conv2d_phase_emit(const GroupProblem& problem,
-                                                    const DeviceProfile&) {
-  return emit<phase_map>(problem);
+                                                    const DeviceProfile& profile) {
+  return emit<pair_phase_map>(problem, profile);
+}
+
+bool conv2d_phase32_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  return supports<float_phase_map>(problem, profile);
+}
+WorkTable conv2d_phase32_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return work<float_phase_map>(problem, profile);
+}
+Result<std::vector<KernelSource>> conv2d_phase32_emit(const GroupProblem& problem,
+                                                      const DeviceProfile& profile) {
+  return emit<float_phase_map>(problem, profile);
 }
 
 bool conv2d_i32_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   return supports<integer_map>(problem, profile);
 }
-WorkTable conv2d_i32_work(const GroupProblem& problem, const DeviceProfile&) {
-  return work<integer_map>(problem);
+WorkTable conv2d_i32_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return work<integer_map>(problem, profile);
 }
 Result<std::vector<KernelSource>> conv2d_i32_emit(const GroupProblem& problem,
-                                                  const DeviceProfile&) {
-  return emit<integer_map>(problem);
+                                                  const DeviceProfile& profile) {
+  return emit<integer_map>(problem, profile);
 }
 
 }  // namespace shale

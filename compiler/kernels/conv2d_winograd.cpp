@@ -1,32 +1,25 @@
 // conv2d_s8_winograd: F(2x2, 3x3) with transformed weights as literals, two tiles packed in a double.
 //
 // One invocation makes two 2x2 tiles of output pixels next to each other from the 4x4 texels under
-// each. With
-//   V = B^T d B (input),  U = G g G^T (weights, multiples of 1/4)
-//   y = A^T [sum over channels of U * V, position by position] A
-// a pixel takes 4 products a channel in place of 9. All of it is linear in the texels d, so it is
-// done on P = d + 2^22 d', where d' belongs to the second tile: P and V are exact in 32-bit integers,
+// each, so a pixel takes 4 products a channel in place of 9. All of it is linear in the texels d, so it
+// is done on P = d + 2^22 d', where d' belongs to the second tile: P and V are exact in 32-bit integers,
 // the products and their sums in doubles, which hold multiples of 1/4 below 2^51. At the end
 // y + 2^22 y' is taken apart, for which y has to lie in a range of 2^22; where it may not, the input
 // channels are summed up in parts. All is proven here from the actual weights.
-// Source: Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2015; packing and
-// proof are ours, shown in tests/compiler/kernels_test.
+// Source: winograd.h; packing and proof are ours, shown in tests/compiler/kernels_test.
 //
 // Two things in the code are there for the driver's compiler, which would keep too many values alive:
 // each position is a loop that is left at once, so that its scheduler does not begin all positions
 // together, and each pass adds a zero of its own, so that values are made again and not kept.
 #include <algorithm>
 
-#include "compiler/kernels/literal_conv.h"
+#include "compiler/kernels/winograd.h"
 
 namespace shale {
 namespace {
 
-constexpr int kBt[4][4] = {{1, 0, -1, 0}, {0, 1, 1, 0}, {0, -1, 1, 0}, {0, 1, 0, -1}};
-// The last position has the other sign in both, as a minus there would be one of a whole sum: drivers
-// carry it through the sum step by step.
-constexpr int kAt[2][4] = {{1, 1, 1, 0}, {0, 1, -1, 1}};
-constexpr int kG2[4][3] = {{2, 0, 0}, {1, 1, 1}, {1, -1, 1}, {0, 0, -2}};
+using namespace winograd;
+
 /// Bits between the two tiles: V of the second one, up to 1020, ends at bit 31.
 constexpr int kSpacing = 22;
 /// Both tiles' share of a number that is the same in both.
@@ -37,34 +30,22 @@ constexpr int64_t kProducts = 32768;
 
 class Winograd {
  public:
-  explicit Winograd(const GroupProblem& problem) : conv_(problem), parts_(find_parts()) {
-    tiling_.source = conv_.node().inputs[0];
-    tiling_.outside = conv_.input_zero_point();
-    tiling_.tile_height = tiling_.step_y = 2;
-    tiling_.tile_width = tiling_.step_x = 4;
-    const std::span<const int64_t> pad = conv_.ints(Attr::kPad);
-    for (int64_t row = 0; row < 4; ++row)
-      for (int64_t column = 0; column < int64_t{kColumns}; ++column)
-        tiling_.texels.push_back({row - pad[0], column - pad[2]});
-  }
+  Winograd(const GroupProblem& problem, const DeviceProfile& profile)
+      : conv_(problem, profile), parts_(find_parts()), tiling_(tiling(conv_, 2)) {}
 
   bool applies() const {
-    const Shape& taps = conv_.weight_shape();
-    const auto all_one = [&](Attr attr) {
-      return conv_.ints(attr)[0] == 1 && conv_.ints(attr)[1] == 1;
-    };
-    return taps[1] == 3 && taps[2] == 3 && all_one(Attr::kStride) && all_one(Attr::kDilation) &&
-           conv_.lanes() >= 4 && products() <= kProducts && conv_.fits_grid(tiling_);
+    return winograd::applies(conv_) && products(conv_) <= kProducts && conv_.fits_grid(tiling_);
   }
 
   /// Each pass transforms the input anew, so there are few, and equal ones.
-  int64_t passes() const { return (conv_.weight_shape()[0] + kMostSums - 1) / kMostSums; }
-
-  int64_t products() const { return 16 * conv_.weight_shape()[0] * conv_.weight_shape()[3]; }
+  int64_t passes() const {
+    const int64_t channels = conv_.out()[3], step = conv_.channels_per_loop(channels);
+    return (channels + step - 1) / step;
+  }
 
   /// In parts a product takes as many times longer, the driver for its code too (measured in two
   /// parts): the results of all parts are live together, and spilled.
-  int64_t literals() const { return products() * std::max<int64_t>(parts_, 1); }
+  int64_t literals() const { return products(conv_) * std::max<int64_t>(parts_, 1); }
 
   WorkTable work() const {
     const Shape& out = conv_.out();
@@ -73,7 +54,7 @@ class Winograd {
     const int64_t in_channels = conv_.weight_shape()[3];
     WorkTable work{};
     work[Work::kDispatch] = 1;
-    work[Work::kCode] = static_cast<double>(products());
+    work[Work::kCode] = static_cast<double>(products(conv_));
     work[Work::kPairProduct] = tiles * static_cast<double>(literals());
     // Each pass makes its 16 values a channel anew; an output channel adds 16 sums to 4 results.
     work[Work::kTransform] =
@@ -94,7 +75,7 @@ class Winograd {
       for (size_t i = 0; i < 4; ++i)
         for (size_t j = 0; j < 4; ++j)
           for (int64_t c = 0; c < conv_.weight_shape()[3]; ++c)
-            bound += std::abs(transformed(oc, i, j, c)) * (i == 1 && j == 1 ? 1020 : 510);
+            bound += std::abs(transformed(conv_, oc, i, j, c)) * largest_input(i, j);
       if (bound >= (int64_t{1} << 53) / (2 * kBoth)) return false;
     }
     return true;
@@ -103,7 +84,7 @@ class Winograd {
   KernelSource emit() {
     const int64_t out_channels = conv_.out()[3];
     std::string text;
-    const int64_t step = channels_per_loop(out_channels);
+    const int64_t step = conv_.channels_per_loop(out_channels);
     for (int64_t first = 0; first < out_channels; first += step)
       text += pass(first, std::min(out_channels, first + step));
     return conv_.finish(tiling_, conv_.over_rows(tiling_, text));
@@ -126,17 +107,13 @@ class Winograd {
   }
   static int64_t middle(const IntRange& sums) { return (sums.min + sums.max) / 2; }
 
-  /// The first input channel of a part.
-  int64_t start(int64_t part, int64_t parts) const {
-    return conv_.weight_shape()[3] * part / parts;
-  }
-
   /// The fewest parts whose sums can be taken apart when they are brought around 0; 0 if too many.
   int64_t find_parts() const {
     const auto fit = [&](int64_t parts) {
       for (int64_t oc = 0; oc < conv_.weight_shape()[0]; ++oc)
         for (int64_t part = 0; part < parts; ++part) {
-          const IntRange sums = range(oc, start(part, parts), start(part + 1, parts));
+          const IntRange sums =
+              range(oc, part_start(conv_, part, parts), part_start(conv_, part + 1, parts));
           if (sums.max - sums.min >= (int64_t{1} << kSpacing) - 2) return false;
         }
       return true;
@@ -144,31 +121,6 @@ class Winograd {
     for (int64_t parts = 1; parts <= kMostParts; ++parts)
       if (fit(parts)) return parts;
     return 0;
-  }
-
-  /// Four times U.
-  int64_t transformed(int64_t oc, size_t i, size_t j, int64_t c) const {
-    int64_t sum = 0;
-    for (int64_t ky = 0; ky < 3; ++ky)
-      for (int64_t kx = 0; kx < 3; ++kx)
-        sum += kG2[i][ky] * kG2[j][kx] * conv_.weight(oc, ky, kx, c);
-    return sum;
-  }
-
-  /// What all of 4 U at a position are multiples of. The products leave it out: fewer different
-  /// weights are fewer constants in the cache.
-  static int multiple(size_t i, size_t j) { return (i % 3 == 0 ? 2 : 1) * (j % 3 == 0 ? 2 : 1); }
-
-  /// Sum of terms with signs.
-  template <typename Term>
-  static std::string combine(const int (&signs)[4], const Term& term) {
-    std::string plus, minus;
-    for (size_t k = 0; k < 4; ++k)
-      if (signs[k] > 0)
-        plus += (plus.empty() ? "" : " + ") + term(k);
-      else if (signs[k] < 0)
-        minus += " - " + term(k);
-    return "(" + plus + minus + ")";
   }
 
   /// Output channels [first, last).
@@ -186,7 +138,7 @@ class Winograd {
         };
         conv_.results(text, first, last, fmt::format("(row * 2 + {})", pixel / 2),
                       fmt::format("(x * 4 + {})", 2 * side + pixel % 2),
-                      {.expression = sum, .doubles = true, .less = less},
+                      {.expression = sum, .floating = true, .less = less},
                       fmt::format("_{}_{}", side, pixel));
       }
     return text + "  }\n";
@@ -201,7 +153,7 @@ class Winograd {
   /// variable that several blocks use is stored once, which the compilers like best.
   std::string sums(int64_t first, int64_t last, int64_t part, std::vector<int64_t>& less) {
     std::string text;
-    const int64_t from = start(part, parts_), to = start(part + 1, parts_);
+    const int64_t from = part_start(conv_, part, parts_), to = part_start(conv_, part + 1, parts_);
     const auto packed = [&](size_t row, size_t column, int64_t c) {
       return fmt::format("p{}_{}_{}", row, column, c);
     };
@@ -227,7 +179,7 @@ class Winograd {
                                0.25 * multiple(i, j));
         }
         text += "  for (;;) {\n  double v;\n" + before;
-        for (int64_t c = from; c < to; ++c) text += products(first, last, i, j, c, packed);
+        for (int64_t c = from; c < to; ++c) text += products_of(first, last, i, j, c, packed);
         text += after + "  if (x >= 0) break;\n  }\n";
       }
       for (int64_t oc = first; oc < last; ++oc)
@@ -258,11 +210,11 @@ class Winograd {
 
   /// What input channel `c` adds to the sums at position (i, j).
   template <typename Packed>
-  std::string products(int64_t first, int64_t last, size_t i, size_t j, int64_t c,
-                       const Packed& packed) const {
+  std::string products_of(int64_t first, int64_t last, size_t i, size_t j, int64_t c,
+                          const Packed& packed) const {
     std::string sums;
     for (int64_t oc = first; oc < last; ++oc) {
-      const int64_t u = transformed(oc, i, j, c) / multiple(i, j);
+      const int64_t u = transformed(conv_, oc, i, j, c) / multiple(i, j);
       if (u != 0) sums += fmt::format("  a{} += v * {}.0lf;\n", oc, u);
     }
     if (sums.empty()) return sums;
@@ -285,24 +237,24 @@ class Winograd {
 bool conv2d_winograd_supports(const GroupProblem& problem, const DeviceProfile& profile) {
   if (!LiteralConv::supports(problem, profile) || !profile.caps.features.has(Feature::kFloat64))
     return false;
-  const Winograd winograd(problem);
+  const Winograd winograd(problem, profile);
   return winograd.applies() && winograd.is_exact();
 }
 
-int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfile&) {
-  return Winograd(problem).literals();
+int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfile& profile) {
+  return Winograd(problem, profile).literals();
 }
 
-WorkTable conv2d_winograd_work(const GroupProblem& problem, const DeviceProfile&) {
-  WorkTable work = Winograd(problem).work();
+WorkTable conv2d_winograd_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  WorkTable work = Winograd(problem, profile).work();
   work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
   return work;
 }
 
 Result<std::vector<KernelSource>> conv2d_winograd_emit(const GroupProblem& problem,
-                                                       const DeviceProfile&) {
+                                                       const DeviceProfile& profile) {
   std::vector<KernelSource> sources;
-  sources.push_back(Winograd(problem).emit());
+  sources.push_back(Winograd(problem, profile).emit());
   return sources;
 }
 

@@ -70,6 +70,7 @@ inline constexpr int64_t (*no_literals)(const GroupProblem&, const DeviceProfile
 int64_t conv2d_direct_literals(const GroupProblem& problem, const DeviceProfile& profile);
 int64_t conv2d_phase_literals(const GroupProblem& problem, const DeviceProfile& profile);
 int64_t conv2d_winograd_literals(const GroupProblem& problem, const DeviceProfile& profile);
+int64_t conv2d_winograd32_literals(const GroupProblem& problem, const DeviceProfile& profile);
 
 std::span<const KernelFamily> all_kernels();
 /// Null if there is no family of that name.

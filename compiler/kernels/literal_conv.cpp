@@ -33,8 +33,9 @@ int64_t local_x(int64_t grid_x) {
 
 }  // namespace
 
-LiteralConv::LiteralConv(const GroupProblem& problem)
+LiteralConv::LiteralConv(const GroupProblem& problem, const DeviceProfile& profile)
     : problem_(problem),
+      profile_(profile),
       graph_(*problem.graph),
       node_(head_of(problem)),
       weight_(*graph_.value(node_.inputs[1]).constant),
@@ -60,7 +61,7 @@ bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& pro
   if (!graph.value(node.inputs[1]).is_constant() || !graph.value(node.inputs[2]).is_constant())
     return false;
   if (op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView) return false;
-  const LiteralConv conv(problem);
+  const LiteralConv conv(problem, profile);
   if (conv.leaf_channels(node.inputs[0]).empty()) return false;
   const auto fits_texels = [&](ValueId id) {
     return conv.folded(id) || element_count(graph.value(id).type.shape).value_or(0) <=
@@ -274,12 +275,14 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
     const Position at{{"n", y, x, std::to_string(oc)}, {}};
     const std::string sum = sums.expression(oc);
     const int64_t added = offset(oc) + (sums.less.empty() ? 0 : sums.less[static_cast<size_t>(oc)]);
-    const std::optional<Scale> scale = sums.doubles ? scale_in_doubles(oc, added) : std::nullopt;
+    const std::optional<Scale> scale =
+        sums.floating && profile_.caps.features.has(Feature::kFloat64) ? scale_in_doubles(oc, added)
+                                                                       : std::nullopt;
     if (scale) {
       // Above 0 truncation is the floor that the shift means, and below 0 all becomes 0.
-      text +=
-          fmt::format("  double h{0} = {1} * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n",
-                      own, sum, double_literal(scale->factor), double_literal(scale->constant));
+      text += fmt::format(
+          "  double h{0} = double({1}) * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n", own,
+          sum, double_literal(scale->factor), double_literal(scale->constant));
       codegen_.locals()[scale->output] = fmt::format("(u{} - 128)", own);
     } else {
       text += fmt::format("  int h{} = int({}) + {};\n", own, sum,
@@ -366,6 +369,11 @@ std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body
                      border("uint(y + 1)"));
 }
 
+int64_t LiteralConv::channels_per_loop(int64_t channels) const {
+  const int64_t loops = ceil_div(channels, profile_.most_sums);
+  return ceil_div(ceil_div(channels, loops), 4) * 4;
+}
+
 bool LiteralConv::fits_grid(const Tiling& tiling) const {
   const auto [height, width] = tiles(tiling);
   return ceil_div(width, local_x(width)) <= kMaxWorkgroups && height <= kMaxWorkgroups &&
@@ -422,16 +430,18 @@ int64_t channels_per_module(const LiteralConv& conv, const TapMap& map, int64_t 
   const int64_t channels = conv.out()[3];
   const int64_t fit = most_products / map.products_per_channel;
   if (fit >= channels) return channels;
-  return fit >= kLiveSums ? fit / kLiveSums * kLiveSums : fit / 4 * 4;
+  return fit >= conv.live_sums() ? fit / conv.live_sums() * conv.live_sums() : fit / 4 * 4;
 }
 
 /// Pixels whose sums for so many output channels are live together.
-int64_t pixels_per_pass(int64_t channels) { return std::max<int64_t>(kLiveSums / channels, 1); }
+int64_t pixels_per_pass(const LiteralConv& conv, int64_t channels) {
+  return std::max<int64_t>(conv.live_sums() / channels, 1);
+}
 
 class TapEmitter {
  public:
-  TapEmitter(const GroupProblem& problem, const TapMap& map)
-      : conv_(problem),
+  TapEmitter(const GroupProblem& problem, const DeviceProfile& profile, const TapMap& map)
+      : conv_(problem, profile),
         map_(map),
         pair_(map.arithmetic == Arithmetic::kDoublePair),
         type_(pair_                                    ? "double"
@@ -443,9 +453,9 @@ class TapEmitter {
 
   KernelSource module(int64_t first, int64_t last) {
     std::string body;
-    const int64_t step = channels_per_loop(last - first);
+    const int64_t step = conv_.channels_per_loop(last - first);
     for (int64_t oc = first; oc < last; oc += step) {
-      const int64_t end = std::min(last, oc + step), together = pixels_per_pass(end - oc);
+      const int64_t end = std::min(last, oc + step), together = pixels_per_pass(conv_, end - oc);
       std::string passes;
       for (int64_t pixel = 0; pixel < map_.pixels(); pixel += together)
         passes += pass(oc, end, pixel, std::min(map_.pixels(), pixel + together));
@@ -476,7 +486,7 @@ class TapEmitter {
                            [&](int64_t oc) {
                              return pair_ ? fmt::format("{}_{}", sum(p, oc), side) : sum(p, oc);
                            },
-                       .doubles = pair_},
+                       .floating = map_.arithmetic != Arithmetic::kInt32},
                       fmt::format("_{}_{}", side, p));
     }
     return text + "  }\n";
@@ -511,23 +521,20 @@ class TapEmitter {
 
 }  // namespace
 
-int64_t channels_per_loop(int64_t channels) {
-  const int64_t loops = ceil_div(channels, kMostSums);
-  return ceil_div(ceil_div(channels, loops), 4) * 4;
-}
-
-std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map,
-                                    int64_t most_products) {
-  const LiteralConv conv(problem);
+std::vector<KernelSource> emit_taps(const GroupProblem& problem, const DeviceProfile& profile,
+                                    const TapMap& map, int64_t most_products) {
+  const LiteralConv conv(problem, profile);
   const int64_t channels = conv.out()[3], step = channels_per_module(conv, map, most_products);
   std::vector<KernelSource> sources;
   for (int64_t first = 0; first < channels; first += step)
-    sources.push_back(TapEmitter(problem, map).module(first, std::min(channels, first + step)));
+    sources.push_back(
+        TapEmitter(problem, profile, map).module(first, std::min(channels, first + step)));
   return sources;
 }
 
-WorkTable tap_work(const GroupProblem& problem, const TapMap& map, int64_t most_products) {
-  const LiteralConv conv(problem);
+WorkTable tap_work(const GroupProblem& problem, const DeviceProfile& profile, const TapMap& map,
+                   int64_t most_products) {
+  const LiteralConv conv(problem, profile);
   const int64_t channels = conv.out()[3],
                 step = std::max<int64_t>(channels_per_module(conv, map, most_products), 1);
   const auto [height, width] = conv.tiles(map);
@@ -535,11 +542,12 @@ WorkTable tap_work(const GroupProblem& problem, const TapMap& map, int64_t most_
   WorkTable work{};
   double loops = 0, passes = 0;
   for (int64_t first = 0; first < channels; first += step) {
-    const int64_t last = std::min(channels, first + step), loop = channels_per_loop(last - first);
+    const int64_t last = std::min(channels, first + step),
+                  loop = conv.channels_per_loop(last - first);
     for (int64_t oc = first; oc < last; oc += loop) {
       loops += 1;
       passes += static_cast<double>(
-          ceil_div(map.pixels(), pixels_per_pass(std::min(last, oc + loop) - oc)));
+          ceil_div(map.pixels(), pixels_per_pass(conv, std::min(last, oc + loop) - oc)));
     }
     work[Work::kDispatch] += 1;
   }

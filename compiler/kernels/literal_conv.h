@@ -12,10 +12,6 @@
 
 namespace shale {
 
-/// Sums that stay in registers: about what CPU drivers have vector registers for.
-inline constexpr int64_t kLiveSums = 16;
-/// Most of them in a pass over the channels, where equal passes are fewer so.
-inline constexpr int64_t kMostSums = 20;
 /// Float32 holds integers below this exactly.
 inline constexpr int64_t kFloatExact = int64_t{1} << 24;
 /// Most invocations of a workgroup, along x.
@@ -41,7 +37,7 @@ class LiteralConv {
   /// its tensors fit texel buffers.
   static bool supports(const GroupProblem& problem, const DeviceProfile& profile);
 
-  explicit LiteralConv(const GroupProblem& problem);
+  LiteralConv(const GroupProblem& problem, const DeviceProfile& profile);
 
   const Graph& graph() const { return graph_; }
   const Node& node() const { return node_; }
@@ -80,7 +76,7 @@ class LiteralConv {
   /// Sums of w * u as expressions.
   struct Sums {
     std::function<std::string(int64_t oc)> expression;
-    bool doubles = false;  ///< their type is double
+    bool floating = false;  ///< their type is double or float
     /// By output channel how far they are too low; nowhere if empty.
     std::vector<int64_t> less = {};
   };
@@ -109,6 +105,11 @@ class LiteralConv {
   /// True if that grid can be dispatched.
   bool fits_grid(const Tiling& tiling) const;
 
+  /// Output channels whose sums are live together, of `channels` in a module: few and equal groups,
+  /// in fours so that results make words.
+  int64_t channels_per_loop(int64_t channels) const;
+  int64_t live_sums() const { return profile_.live_sums; }
+
  private:
   /// A RESCALE of sums as u = floor(sum * factor + constant), exact in doubles, where u = q + 128 is to
   /// be limited to bytes.
@@ -125,6 +126,7 @@ class LiteralConv {
   std::string inside(ValueId id, int64_t c);
 
   const GroupProblem& problem_;
+  const DeviceProfile& profile_;
   const Graph& graph_;
   const Node& node_;
   const Tensor& weight_;
@@ -136,10 +138,6 @@ class LiteralConv {
 
 /// Invocations along x that run, idle lanes included: they come in eights.
 int64_t literal_lanes(int64_t grid_x);
-
-/// Output channels whose sums are live together, of `channels` in a module: few and equal groups, in
-/// fours so that results make words.
-int64_t channels_per_loop(int64_t channels);
 
 /// What sums are made in.
 enum class Arithmetic {
@@ -171,10 +169,11 @@ struct TapMap : Tiling {
 };
 
 /// Code for the map, as few modules as `most_products` (in one module) allows.
-std::vector<KernelSource> emit_taps(const GroupProblem& problem, const TapMap& map,
-                                    int64_t most_products);
+std::vector<KernelSource> emit_taps(const GroupProblem& problem, const DeviceProfile& profile,
+                                    const TapMap& map, int64_t most_products);
 /// What that code does.
-WorkTable tap_work(const GroupProblem& problem, const TapMap& map, int64_t most_products);
+WorkTable tap_work(const GroupProblem& problem, const DeviceProfile& profile, const TapMap& map,
+                   int64_t most_products);
 /// Number of modules of emit_taps; nothing if even a part of the channels is too much for one, or
 /// the grid too large to be dispatched.
 std::optional<int64_t> count_tap_modules(const LiteralConv& conv, const TapMap& map,

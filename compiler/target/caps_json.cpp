@@ -80,6 +80,14 @@ class Reader {
     }
   }
 
+  void processor(const char* name, Processor& processor) {
+    std::string found;
+    text(name, found);
+    for (uint32_t i = 0; i < kProcessorCount; ++i)
+      if (processor = static_cast<Processor>(i); found == processor_name(processor)) return;
+    fail(name, "expected unknown, sse, avx2, avx512 or neon");
+  }
+
   void products(const char* name, std::vector<MatrixProduct>& products) {
     const Json* member = find(name);
     if (!member) return;
@@ -136,6 +144,7 @@ std::string caps_json(const DeviceCaps& caps) {
                   {"driver", caps.driver},
                   {"vulkan", version_text(caps.api_version)},
                   {"kind", caps.cpu ? "CPU" : "GPU"},
+                  {"processor", processor_name(caps.processor)},
                   {"features", features},
                   {"subgroup_size", caps.subgroup_size},
                   {"matrix_products", products},
@@ -166,6 +175,7 @@ Result<DeviceCaps> parse_caps(const std::string& text) {
   reader.text("driver", caps.driver);
   reader.version("vulkan", caps.api_version);
   reader.text("kind", kind);
+  if (json.contains("processor")) reader.processor("processor", caps.processor);
   reader.features("features", caps.features);
   reader.number("subgroup_size", caps.subgroup_size);
   reader.products("matrix_products", caps.matrix_products);

@@ -74,51 +74,117 @@ DeviceProfile gpu_with(std::string_view name, std::string_view help, DeviceClass
   return profile;
 }
 
+/// Mesa's lavapipe on a class of processors.
+DeviceProfile lavapipe(std::string_view name, std::string_view help, DeviceClass device_class,
+                       Processor processor, uint32_t subgroup_size) {
+  return {.name = name,
+          .help = help,
+          .device_class = device_class,
+          .caps = {.name = "llvmpipe",
+                   .driver = "Mesa 22.3",
+                   .api_version = (1u << 22) | (3u << 12),
+                   .cpu = true,
+                   .processor = processor,
+                   .features = features({Feature::kStorageBuffer8, Feature::kStorageBuffer16,
+                                         Feature::kInt8, Feature::kInt16, Feature::kInt64,
+                                         Feature::kDotProduct8, Feature::kFloat64,
+                                         Feature::kStorageImageExtended}),
+                   .max_workgroup_invocations = 1024,
+                   .max_workgroup_size = {1024, 1024, 1024},
+                   .max_workgroup_count = {65535, 65535, 65535},
+                   .max_shared_bytes = 32768,
+                   .max_storage_range_bytes = uint64_t{1} << 27,
+                   .max_texel_elements = uint64_t{1} << 27,
+                   .max_storage_buffers = 32,
+                   .max_texel_buffers = 128,
+                   .max_storage_images = 32,
+                   .subgroup_size = subgroup_size},
+          .driver_us_per_product = 300,
+          .driver_us_per_module = 30000,
+          .literal_weights = true};
+}
+
+DeviceProfile avx512_profile() {
+  DeviceProfile profile = lavapipe(
+      "lavapipe", "Vulkan on the CPU by Mesa, with AVX-512: literal weights, packed doubles",
+      DeviceClass::kCpu, Processor::kAvx512, 8);
+  profile.ns = work_ns({{Work::kDispatch, 100400},
+                        {Work::kCode, 4.63},
+                        {Work::kFloatProduct, 0.0162},
+                        {Work::kIntProduct, 0.032},
+                        {Work::kPairProduct, 0.0169},
+                        {Work::kTransform, 0.259},
+                        {Work::kFetch, 0.711},
+                        {Work::kUnpack, 0.168},
+                        {Work::kResult, 0.353},
+                        {Work::kGenericMac, 2.35},
+                        {Work::kGenericResult, 3.46},
+                        {Work::kLoopMac, 0.08},
+                        {Work::kByte, 0.167}});
+  profile.roof_gops = 121.8;
+  profile.source =
+      "fitted by shale fit to NSS v1 HIGH, v0.1, SRPO x2, x3 at 640x360 and NSS v1 HIGH, LOW at "
+      "320x180 (shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa 22.3.6; "
+      "float_product, int_product and generic_mac from tests/bench, byte assumed";
+  return profile;
+}
+
+/// 16 vector registers: a sum, its product and the number that it is made from leave room for eight to
+/// twelve; 16 spill and take 1.6 times as long.
+DeviceProfile avx2_profile() {
+  DeviceProfile profile = lavapipe(
+      "lavapipe-avx2", "the same with AVX2: literal weights, float32 where exact, fewer sums live",
+      DeviceClass::kCpuAvx2, Processor::kAvx2, 8);
+  profile.ns = work_ns({{Work::kDispatch, 33000},
+                        {Work::kCode, 4.04},
+                        {Work::kFloatProduct, 0.0324},
+                        {Work::kIntProduct, 0.065},
+                        {Work::kPairProduct, 0.119},
+                        {Work::kTransform, 0.169},
+                        {Work::kFetch, 0.185},
+                        {Work::kUnpack, 0.0437},
+                        {Work::kResult, 0.472},
+                        {Work::kGenericMac, 4.7},
+                        {Work::kGenericResult, 7.18},
+                        {Work::kLoopMac, 0.16},
+                        {Work::kByte, 0.167}});
+  profile.roof_gops = 65.3;
+  profile.source =
+      "fitted by shale fit to NSS v1 HIGH by several families and v0.1 at 640x360 and NSS v1 HIGH "
+      "at "
+      "320x180 (shale bench --repeat 7) on 2 cores of an Ice Lake class Xeon, Mesa 22.3.6 with "
+      "GALLIUM_OVERRIDE_CPU_CAPS=avx; dispatch by tests/bench, int_product, generic_mac, loop_mac "
+      "and "
+      "byte assumed";
+  profile.live_sums = profile.most_sums = 8;
+  return profile;
+}
+
+/// As another class of processors, with its times by the vectors' width; not measured.
+DeviceProfile assumed(DeviceProfile profile, std::string_view name, std::string_view help,
+                      DeviceClass device_class, Processor processor) {
+  profile.name = name;
+  profile.help = help;
+  profile.device_class = device_class;
+  profile.caps.processor = processor;
+  profile.caps.subgroup_size = 4;
+  for (size_t i = 0; i < kWorkCount; ++i)
+    if (static_cast<Work>(i) != Work::kDispatch && static_cast<Work>(i) != Work::kByte)
+      profile.ns.at(i) *= 2;
+  profile.roof_gops /= 2;
+  profile.for_all = false;
+  profile.source = "assumed: half the rates of lavapipe-avx2, for vectors of 128 bits";
+  return profile;
+}
+
 const std::vector<DeviceProfile>& profiles() {
   static const std::vector<DeviceProfile> table{
-      {.name = "lavapipe",
-       .help = "Vulkan on the CPU by Mesa: literal weights, float32 where exact",
-       .device_class = DeviceClass::kCpu,
-       .caps = {.name = "llvmpipe",
-                .driver = "Mesa 22.3",
-                .api_version = (1u << 22) | (3u << 12),
-                .cpu = true,
-                .features =
-                    features({Feature::kStorageBuffer8, Feature::kStorageBuffer16, Feature::kInt8,
-                              Feature::kInt16, Feature::kInt64, Feature::kDotProduct8,
-                              Feature::kFloat64, Feature::kStorageImageExtended}),
-                .max_workgroup_invocations = 1024,
-                .max_workgroup_size = {1024, 1024, 1024},
-                .max_workgroup_count = {65535, 65535, 65535},
-                .max_shared_bytes = 32768,
-                .max_storage_range_bytes = uint64_t{1} << 27,
-                .max_texel_elements = uint64_t{1} << 27,
-                .max_storage_buffers = 32,
-                .max_texel_buffers = 128,
-                .max_storage_images = 32,
-                .subgroup_size = 8},
-       .ns = work_ns({{Work::kDispatch, 100400},
-                      {Work::kCode, 4.63},
-                      {Work::kFloatProduct, 0.0162},
-                      {Work::kIntProduct, 0.032},
-                      {Work::kPairProduct, 0.0169},
-                      {Work::kTransform, 0.259},
-                      {Work::kFetch, 0.711},
-                      {Work::kUnpack, 0.168},
-                      {Work::kResult, 0.353},
-                      {Work::kGenericMac, 2.35},
-                      {Work::kGenericResult, 3.46},
-                      {Work::kLoopMac, 0.08},
-                      {Work::kByte, 0.167}}),
-       .roof_gops = 121.8,
-       .driver_us_per_product = 300,
-       .driver_us_per_module = 30000,
-       .literal_weights = true,
-       .source =
-           "fitted by shale fit to NSS v1 HIGH, v0.1, SRPO x2, x3 at 640x360 and NSS v1 HIGH, LOW "
-           "at 320x180 (shale bench --repeat 9) on 2 cores of a Zen 4 class processor, Mesa "
-           "22.3.6; "
-           "float_product, int_product and generic_mac from tests/bench, byte assumed"},
+      avx512_profile(),
+      avx2_profile(),
+      assumed(avx2_profile(), "lavapipe-sse", "the same without AVX2 (not measured)",
+              DeviceClass::kCpuSse, Processor::kSse),
+      assumed(avx2_profile(), "lavapipe-neon", "the same on an ARM processor (not measured)",
+              DeviceClass::kCpuNeon, Processor::kNeon),
       gpu_with("generic-gpu", "any Vulkan 1.3 GPU with 8-bit storage: weights in buffers",
                DeviceClass::kAny, {}),
       gpu_with("dot8-gpu", "a GPU with int8 dot products: weights packed for them in buffers",

@@ -65,7 +65,12 @@ struct DeviceProfile {
   double driver_us_per_module = 0;   ///< the same for a module without any
   int64_t most_products = 262144;  ///< in the code of a network: bounds its package and first start
   bool literal_weights = false;    ///< constants in code are free: true where kernels run on a CPU
-  std::string_view source;
+  /// Sums that kernels with literal weights keep in registers, and the most where equal passes over the
+  /// channels are fewer so: what the processor has registers for.
+  int64_t live_sums = 16, most_sums = 20;
+  bool for_all =
+      true;  ///< a variant of packages for all targets; else another class's serves there
+  std::string_view source = {};
 };
 
 std::span<const DeviceProfile> known_profiles();

@@ -21,8 +21,11 @@ constexpr std::array<const char*, kFeatureCount> kFeatureNames{
     "shaderStorageImageExtendedFormats",
 };
 
-constexpr std::array<const char*, kDeviceClassCount> kDeviceClassNames{"any", "cpu", "dot8-gpu",
-                                                                       "matrix-gpu"};
+constexpr std::array<const char*, kDeviceClassCount> kDeviceClassNames{
+    "any", "cpu", "dot8-gpu", "matrix-gpu", "cpu-avx2", "cpu-sse", "cpu-neon"};
+
+constexpr std::array<const char*, kProcessorCount> kProcessorNames{"unknown", "sse", "avx2",
+                                                                   "avx512", "neon"};
 
 }  // namespace
 
@@ -30,6 +33,10 @@ const char* feature_name(Feature feature) { return kFeatureNames[static_cast<uin
 
 const char* device_class_name(DeviceClass device_class) {
   return kDeviceClassNames[static_cast<uint32_t>(device_class)];
+}
+
+const char* processor_name(Processor processor) {
+  return kProcessorNames[static_cast<uint32_t>(processor)];
 }
 
 std::string matrix_product_text(const MatrixProduct& product) {

@@ -39,14 +39,23 @@ struct FeatureSet {
 /// What kind of device a variant is for. The numbers are stored in packages.
 enum class DeviceClass : uint8_t {
   kAny = 0,        ///< whatever meets the requirements
-  kCpu = 1,        ///< a driver that runs shaders on the CPU
+  kCpu = 1,        ///< a driver that runs shaders on the CPU, one with AVX-512
   kDot8Gpu = 2,    ///< a GPU with int8 dot products
   kMatrixGpu = 3,  ///< a GPU with int8 cooperative matrices
+  kCpuAvx2 = 4,    ///< as kCpu, with AVX2: 16 vector registers of 256 bits
+  kCpuSse = 5,     ///< as kCpu, an x86 processor with less
+  kCpuNeon = 6,    ///< as kCpu, an ARM processor: 32 vector registers of 128 bits
 };
-inline constexpr uint32_t kDeviceClassCount = 4;
+inline constexpr uint32_t kDeviceClassCount = 7;
 
 /// As `shale dump` writes it: "dot8-gpu".
 const char* device_class_name(DeviceClass device_class);
+
+/// What vectors a CPU driver compiles shaders for.
+enum class Processor : uint8_t { kUnknown, kSse, kAvx2, kAvx512, kNeon };
+inline constexpr uint32_t kProcessorCount = 5;
+/// As `shale doctor` writes it: "avx2".
+const char* processor_name(Processor processor);
 
 /// A product that a subgroup computes: m x k int8 times k x n int8, added to m x n int32.
 struct MatrixProduct {
@@ -58,10 +67,11 @@ std::string matrix_product_text(const MatrixProduct& product);
 
 /// Snapshot of a device, taken by runtime/vk or written down in compiler/target; no handles.
 struct DeviceCaps {
-  std::string name;          ///< VkPhysicalDeviceProperties::deviceName
-  std::string driver;        ///< driver name and version, for humans
-  uint32_t api_version = 0;  ///< VK_MAKE_API_VERSION form
-  bool cpu = false;          ///< VK_PHYSICAL_DEVICE_TYPE_CPU
+  std::string name;                           ///< VkPhysicalDeviceProperties::deviceName
+  std::string driver;                         ///< driver name and version, for humans
+  uint32_t api_version = 0;                   ///< VK_MAKE_API_VERSION form
+  bool cpu = false;                           ///< VK_PHYSICAL_DEVICE_TYPE_CPU
+  Processor processor = Processor::kUnknown;  ///< of a device with `cpu`
   FeatureSet features;
   uint32_t max_workgroup_invocations = 0;
   uint32_t max_workgroup_size[3] = {0, 0, 0};

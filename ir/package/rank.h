@@ -9,7 +9,7 @@
 
 namespace shale {
 
-/// What a device is, by what it has: a CPU driver; else a GPU with int8 matrices, with int8 dot
+/// What a device is, by what it has: a CPU driver, by its processor's vectors; else a GPU with int8 matrices, with int8 dot
 /// products alone, or neither (kAny).
 DeviceClass device_class(const DeviceCaps& caps);
 

@@ -4,6 +4,7 @@
 
 #include "runtime/vk/cooperative_matrix.h"
 #include "runtime/vk/handle.h"
+#include "runtime/vk/processor.h"
 
 namespace shale::vk {
 namespace {
@@ -88,6 +89,7 @@ DeviceCaps snapshot_caps(VkPhysicalDevice device, const Functions& vk) {
   caps.driver = fmt::format("{} {}", v12.driverName, v12.driverInfo);
   caps.api_version = v10.properties.apiVersion;
   caps.cpu = v10.properties.deviceType == VK_PHYSICAL_DEVICE_TYPE_CPU;
+  if (caps.cpu) caps.processor = driver_processor();
   for (const FeatureMember& row : kFeatureMembers)
     if (row.member(features)) caps.features.add(row.feature);
   caps.max_workgroup_invocations = limits.maxComputeWorkGroupInvocations;

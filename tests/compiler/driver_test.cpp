@@ -92,7 +92,8 @@ TEST(Driver, RefusesWhatItDoesNotKnow) {
   CompileOptions options = fast_options();
   options.targets = {"lavapipe", "abacus"};
   EXPECT_EQ(error_text(compile_text(kSmall, options)),
-            "--target: \"abacus\" is unknown, expected one of: lavapipe, generic-gpu, "
+            "--target: \"abacus\" is unknown, expected one of: lavapipe, lavapipe-avx2, "
+            "lavapipe-sse, lavapipe-neon, generic-gpu, "
             "dot8-gpu, coopmat-gpu");
   options = fast_options();
   options.kernels = {"generic", "conv2d_s8_abacus"};

@@ -31,6 +31,9 @@ struct Row {
 
 const Row kRows[] = {
     {"lavapipe_22_3", DeviceClass::kCpu, "lavapipe", "conv2d_s8_winograd", ""},
+    {"lavapipe_22_3_avx2", DeviceClass::kCpuAvx2, "lavapipe-avx2", "conv2d_s8_winograd32", ""},
+    {"lavapipe_22_3_sse", DeviceClass::kCpuSse, "lavapipe-sse", "conv2d_s8_winograd32", ""},
+    {"lavapipe_22_3_neon", DeviceClass::kCpuNeon, "lavapipe-neon", "conv2d_s8_winograd32", ""},
     {"lavapipe_26_2", DeviceClass::kCpu, "lavapipe", "conv2d_s8_winograd", ""},
     // Four storage buffers a stage are too few for a convolution by a fast kernel.
     {"vulkan_1_3_minimum", DeviceClass::kDot8Gpu, "", "generic", ""},
@@ -127,6 +130,8 @@ TEST(Target, BadCapsAreRefused) {
       {"\"shale-caps/1\"", "\"other\"",
        "is no description of a device, expected schema shale-caps/1"},
       {"\"GPU\"", "\"TPU\"", "kind: expected CPU or GPU"},
+      {"\"processor\": \"unknown\"", "\"processor\": \"mmx\"",
+       "processor: expected unknown, sse, avx2, avx512 or neon"},
       {"\"1.3.280\"", "\"1.3\"", "vulkan: expected a version such as 1.3.246"},
       {"\"1.3.280\"", "\"1.3.280.1\"", "vulkan: expected a version such as 1.3.246"},
       {"\"1.3.280\"", "\"1.3000.1\"", "vulkan: expected a version such as 1.3.246"},

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
+
 namespace shale {
 namespace {
 
@@ -17,7 +19,14 @@ Variant variant_of(DeviceClass device_class, double time_us = 1) {
 
 DeviceCaps caps_of(DeviceClass device_class) {
   DeviceCaps caps;
-  caps.cpu = device_class == DeviceClass::kCpu;
+  const std::map<DeviceClass, Processor> processors{{DeviceClass::kCpu, Processor::kAvx512},
+                                                    {DeviceClass::kCpuAvx2, Processor::kAvx2},
+                                                    {DeviceClass::kCpuSse, Processor::kSse},
+                                                    {DeviceClass::kCpuNeon, Processor::kNeon}};
+  if (const auto found = processors.find(device_class); found != processors.end()) {
+    caps.cpu = true;
+    caps.processor = found->second;
+  }
   if (device_class != DeviceClass::kAny) caps.features.add(Feature::kDotProduct8);
   if (device_class == DeviceClass::kMatrixGpu) {
     caps.features.add(Feature::kCooperativeMatrix);
@@ -26,8 +35,9 @@ DeviceCaps caps_of(DeviceClass device_class) {
   return caps;
 }
 
-constexpr DeviceClass kClasses[] = {DeviceClass::kAny, DeviceClass::kCpu, DeviceClass::kDot8Gpu,
-                                    DeviceClass::kMatrixGpu};
+constexpr DeviceClass kClasses[] = {
+    DeviceClass::kAny,     DeviceClass::kCpu,    DeviceClass::kDot8Gpu, DeviceClass::kMatrixGpu,
+    DeviceClass::kCpuAvx2, DeviceClass::kCpuSse, DeviceClass::kCpuNeon};
 
 std::vector<uint32_t> order(const std::vector<Variant>& variants, const DeviceCaps& caps) {
   std::vector<uint32_t> indices;
@@ -54,9 +64,9 @@ TEST(Rank, ClassGoesBeforeTime) {
     variants.push_back(variant_of(device, 20));
     variants.push_back(variant_of(device, 5));
     const std::vector<uint32_t> ranked = order(variants, caps_of(device));
-    EXPECT_EQ(ranked[0], 5u);
+    EXPECT_EQ(ranked[0], 8u);
     EXPECT_EQ(ranked[1], static_cast<uint32_t>(device));
-    EXPECT_EQ(ranked[2], 4u);
+    EXPECT_EQ(ranked[2], 7u);
   }
 }
 
@@ -67,6 +77,21 @@ TEST(Rank, NeitherKindOfDeviceTakesTheOthersVariantWhileItsOwnFits) {
   EXPECT_EQ(order(both, caps_of(DeviceClass::kCpu))[0], 1u);
   for (const DeviceClass gpu : {DeviceClass::kAny, DeviceClass::kDot8Gpu, DeviceClass::kMatrixGpu})
     EXPECT_EQ(order(both, caps_of(gpu))[3], 1u);
+}
+
+TEST(Rank, ProcessorsWithoutAvx512TakeFloatsOfFewerSumsAndOnlyThenDoubles) {
+  const std::vector<Variant> variants{variant_of(DeviceClass::kDot8Gpu),
+                                      variant_of(DeviceClass::kCpu),
+                                      variant_of(DeviceClass::kCpuAvx2)};
+  using Order = std::vector<uint32_t>;
+  EXPECT_EQ(order(variants, caps_of(DeviceClass::kCpu)), (Order{1, 2, 0}));
+  for (const DeviceClass narrow :
+       {DeviceClass::kCpuAvx2, DeviceClass::kCpuSse, DeviceClass::kCpuNeon})
+    EXPECT_EQ(order(variants, caps_of(narrow)), (Order{2, 1, 0}));
+  // A driver that does not say what it compiles for is taken as before there were classes.
+  DeviceCaps caps;
+  caps.cpu = true;
+  EXPECT_EQ(order(variants, caps), (Order{1, 2, 0}));
 }
 
 TEST(Rank, WhatTheDeviceLacksPutsAVariantLast) {

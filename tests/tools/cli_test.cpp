@@ -274,7 +274,7 @@ TEST_F(Cli, ConvertNamesWhatItCannotDo) {
       {"p.shale -o " + file("out.tosa"), "a package becomes vgf only, found tosa"},
       {"p.shale -o " + file("out.vgf"), "--weights-as-inputs"},
       {"p.shale --weights-as-inputs --variant 9 -o " + file("out.vgf"),
-       "--variant: found 9, the package has 4"},
+       "--variant: found 9, the package has 5"},
       {"small.tir --weights-as-inputs -o " + file("out.vgf"), "the file is a model, not a package"},
       {"small.tir --entry-point main -o " + file("out.vgf"), "--entry-point: found \"main\""},
       {"s.vgf --entry-point other -o " + file("out.tosa"),

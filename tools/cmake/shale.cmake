@@ -4,7 +4,12 @@
 
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
   # -Wrestrict is left out: g++ 12 reports it falsely for std::string (GCC bug 105651).
-  set(SHALE_WARNINGS -Wall -Wextra -Wconversion -Wshadow -Wno-restrict -Werror)
+  set(SHALE_WARNINGS -Wall -Wextra -Wconversion -Wshadow -Wno-restrict)
+  # Off where code is instrumented: g++ 12 then warns of copies that cannot be.
+  option(SHALE_WARNINGS_AS_ERRORS "stop at a warning" ON)
+  if(SHALE_WARNINGS_AS_ERRORS)
+    list(APPEND SHALE_WARNINGS -Werror)
+  endif()
 else()
   set(SHALE_WARNINGS -Wall -Wextra)  # the fuzz targets; g++ is the compiler of record
 endif()

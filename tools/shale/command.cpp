@@ -257,7 +257,7 @@ Result<void> CompileArguments::add_targets(CompileOptions& options) const {
   for (const std::string& target : wanted) {
     if (target == "all") {
       for (const DeviceProfile& profile : known_profiles())
-        options.targets.emplace_back(profile.name);
+        if (profile.for_all) options.targets.emplace_back(profile.name);
       continue;
     }
     options.targets.push_back(target);

@@ -1,0 +1,12 @@
+// runtime/vk/processor.h -- the vectors that a driver on the CPU compiles shaders for.
+#pragma once
+
+#include "ir/package/caps.h"
+
+namespace shale::vk {
+
+/// What this processor has, as far as Mesa's GALLIUM_OVERRIDE_CPU_CAPS leaves it to the driver: "avx"
+/// keeps AVX2 (seen in the machine code that Mesa 22.3 makes), "nosse" to "sse4.1" leave SSE.
+Processor driver_processor();
+
+}  // namespace shale::vk
