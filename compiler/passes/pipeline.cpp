@@ -15,6 +15,7 @@ Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& co
       "fold-zero-point",   // makes the pads of convolutions explicit; fuse-views folds them again
       "fold-constants",    // weights and biases that the previous pass touched
       "remove-dead",       // use counts must be true before fusion asks for single users
+      "copy-views",        // after the last merging, which would undo it
       "fuse-elementwise",  // before views: a view must not cut a producer from its requantization
       "fuse-views",
   };

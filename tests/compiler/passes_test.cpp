@@ -572,6 +572,45 @@ std::string node(const std::string& line, const std::string& group = "") {
   return "  " + line + group + "\n";
 }
 
+// copy-views
+
+/// An upsampling, and what reads it: `lines` and results.
+std::string upsampled(const std::string& lines, const std::string& results) {
+  return std::string("graph main {\n  input %x : i8[1,2,2,2]\n") + kConstants +
+         "  const %scale : shape[4] = [2,1,2,1]\n  const %offset : shape[2] = [0,0]\n"
+         "  const %border : shape[2] = [1,1]\n  const %none : shape[8] = [0,0,0,0,0,0,0,0]\n" +
+         lines + "  return " + results + "\n}";
+}
+std::string upsample(const std::string& result) {
+  return node(result + " = resize %x, %scale, %offset, %border {mode=nearest} : i8[1,4,4,2]");
+}
+
+TEST_F(PassTest, CopyViewsGivesEachConvolutionAnUpsamplingOfItsOwn) {
+  const std::string pad = node("%p = pad %big.1, %none, %zp : i8[1,4,4,2]");
+  expect_change(
+      "copy-views",
+      upsampled(upsample("%big") + conv("%a", "%big") +
+                    node("%p = pad %big, %none, %zp : i8[1,4,4,2]") + conv("%c", "%p"),
+                "%a, %c"),
+      upsampled(upsample("%big") + upsample("%big.1") + conv("%a", "%big") + pad + conv("%c", "%p"),
+                "%a, %c"));
+}
+
+TEST_F(PassTest, CopyViewsKeepsAnUpsamplingThatSomebodyElseNeeds) {
+  const std::string two = upsample("%big") + conv("%a", "%big") + conv("%c", "%big");
+  expect_untouched("copy-views", upsampled(two, "%a, %c, %big"));
+  expect_untouched("copy-views",
+                   upsampled(two + node("%n = abs %c : i32[1,4,4,2]") +
+                                 node("%d = clamp %big {min_val=0, max_val=5} : i8[1,4,4,2]"),
+                             "%a, %n, %d"));
+  // A padding that two convolutions read.
+  expect_untouched("copy-views", upsampled(upsample("%big") + conv("%a", "%big") +
+                                               node("%p = pad %big, %none, %zp : i8[1,4,4,2]") +
+                                               conv("%c", "%p") + conv("%d", "%p"),
+                                           "%a, %c, %d"));
+  expect_untouched("copy-views", upsampled(upsample("%big") + conv("%a", "%big"), "%a"));
+}
+
 TEST_F(PassTest, FuseElementwiseTakesTheWholeEpilogue) {
   const auto text = [](const std::string& g) {
     return network(conv("%acc", "%x", g) + rescale("%q", "%acc", g) +
@@ -794,9 +833,9 @@ TEST(Pipeline, RunsItsPassesInOrderAndReportsEach) {
       {.optimize = true, .verify_each = true, .after = [&](std::string_view pass, const Graph&) {
          seen.emplace_back(pass);
        }}));
-  const std::vector<std::string> order{"infer-shapes", "fold-constants",   "remove-identity",
-                                       "merge-equal",  "fold-zero-point",  "fold-constants",
-                                       "remove-dead",  "fuse-elementwise", "fuse-views"};
+  const std::vector<std::string> order{
+      "infer-shapes",   "fold-constants", "remove-identity", "merge-equal",      "fold-zero-point",
+      "fold-constants", "remove-dead",    "copy-views",      "fuse-elementwise", "fuse-views"};
   EXPECT_EQ(seen, order);
   ASSERT_EQ(timings.size(), order.size());
   for (size_t i = 0; i < order.size(); ++i) EXPECT_EQ(timings[i].pass, order[i]);
