@@ -2,10 +2,14 @@
 
 #include <array>
 #include <cstdio>
+#include <cstdlib>
+#include <optional>
+#include <string>
 
 #include "ir/base/file.h"
 #include "runtime/vk/cooperative_matrix.h"
 #include "runtime/vk/pipeline_cache.h"
+#include "runtime/vk/processor.h"
 #include "runtime/vk/timestamps.h"
 #include "tests/support/vulkan_fixture.h"
 
@@ -29,6 +33,22 @@ TEST_F(Device, CapsAreFilled) {
   EXPECT_GE(caps.max_texel_buffers, 16u);
   EXPECT_GE(caps.max_storage_images, 4u);
   EXPECT_GE(caps.subgroup_size, 1u);
+}
+
+TEST(Processor, FollowsMesasOverride) {
+  constexpr const char* kName = "GALLIUM_OVERRIDE_CPU_CAPS";
+  const char* set = std::getenv(kName);
+  const std::optional<std::string> before = set ? std::optional<std::string>(set) : std::nullopt;
+  unsetenv(kName);
+  const Processor own = vk::driver_processor();
+  EXPECT_NE(own, Processor::kUnknown);
+  setenv(kName, "avx", 1);
+  EXPECT_EQ(vk::driver_processor(), own == Processor::kAvx512 ? Processor::kAvx2 : own);
+  for (const char* less : {"nosse", "sse", "ssse3", "sse4.1"}) {
+    setenv(kName, less, 1);
+    EXPECT_EQ(vk::driver_processor(), own == Processor::kNeon ? own : Processor::kSse) << less;
+  }
+  before ? setenv(kName, before->c_str(), 1) : unsetenv(kName);
 }
 
 TEST(CooperativeMatrix, ProductsOfInt8InSubgroupsCount) {

@@ -35,7 +35,8 @@ class FolderTest : public testing::Test {
   }
   /// Runs the program in the folder; what it says goes to the file "said".
   int shale(const std::string& arguments) const {
-    return shell(fmt::format("cd {} && {} {} > said 2>&1", folder_.string(), SHALE_PROGRAM, arguments));
+    return shell(
+        fmt::format("cd {} && {} {} > said 2>&1", folder_.string(), SHALE_PROGRAM, arguments));
   }
 
   std::filesystem::path folder_;
