@@ -94,7 +94,7 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
   const Variant& variant = package.variants.front();
   const std::vector<Tensor> inputs = inputs_of(variant);
 
-  Json json{{"model", model.name}};
+  Json json{{"model", model.name}, {"target", variant.target}};
   for (const Tensor& input : inputs) json["inputs"].push_back(input.type.shape);
   json["compile_ms"] = compile_ms;
   json["package_bytes"] = write_package(package).size();

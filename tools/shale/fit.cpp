@@ -13,7 +13,7 @@ namespace {
 
 struct Arguments {
   std::vector<std::string> files;
-  std::string output, target = "lavapipe";
+  std::string output, target;
   bool json = false;
 };
 
@@ -35,6 +35,7 @@ Result<WorkTable> read_work(const Json& row, const std::string& where) {
 struct Data {
   std::vector<MeasuredWork> rows;
   std::vector<double> roofs;  ///< of each row
+  std::string target;         ///< of the first model that names one
 };
 
 Result<void> read_bench(const std::string& path, Data& data) {
@@ -48,6 +49,8 @@ Result<void> read_bench(const std::string& path, Data& data) {
                        model["dispatches"].is_array();
     const double roof = whole ? model["roof_gop_per_s"].get<double>() : 0;
     if (!(roof > 0)) return bad_input(path, "a model has no roof or no dispatches");
+    if (data.target.empty() && model.contains("target") && model["target"].is_string())
+      data.target = model["target"].get<std::string>();
     for (size_t i = 0; i < model["dispatches"].size(); ++i) {
       const Json& row = model["dispatches"][i];
       const std::string where = fmt::format("{}: dispatch {}", path, i);
@@ -64,13 +67,16 @@ Result<void> read_bench(const std::string& path, Data& data) {
 }
 
 Result<int> run(const Arguments& arguments) {
-  const DeviceProfile* profile = find_profile(arguments.target);
-  if (!profile) return bad_input("--target", "\"{}\" is unknown", arguments.target);
   Outputs outputs;
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   Data data;
   for (const std::string& file : arguments.files) SHALE_TRY_VOID(read_bench(file, data));
   if (data.rows.empty()) return bad_input("", "the files hold no dispatch");
+  const std::string target = !arguments.target.empty() ? arguments.target
+                             : !data.target.empty()    ? data.target
+                                                       : "lavapipe";
+  const DeviceProfile* profile = find_profile(target);
+  if (!profile) return bad_input("--target", "\"{}\" is unknown", target);
   // All times as they would be at one speed of the machine.
   std::vector<double> sorted = data.roofs;
   std::nth_element(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2),
@@ -87,7 +93,7 @@ Result<int> run(const Arguments& arguments) {
     predicted += us;
     if (std::abs(us - row.time_us) <= 0.25 * row.time_us) close += row.time_us;
   }
-  Json json = constants_json(arguments.target, constants);
+  Json json = constants_json(target, constants);
   if (!arguments.output.empty()) SHALE_TRY_VOID(write_text(arguments.output, json_text(json)));
   json["dispatches"] = data.rows.size();
   json["predicted_of_measured"] = predicted / time;
@@ -113,7 +119,8 @@ Action add_fit(CLI::App& app) {
   app.add_option("bench", arguments->files, "results of shale bench --json, of several sizes")
       ->required();
   app.add_option("-o,--output", arguments->output, "file for the constants (JSON)");
-  app.add_option("--target", arguments->target, "device class whose constants they replace");
+  app.add_option("--target", arguments->target,
+                 "device class whose constants they replace (default: the one that was measured)");
   app.add_flag("--json", arguments->json, "print the constants as JSON");
   app.footer(
       "Example: shale fit a.json b.json -o here.json\n"
