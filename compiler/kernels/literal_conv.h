@@ -76,7 +76,7 @@ class LiteralConv {
   /// Sums of w * u as expressions.
   struct Sums {
     std::function<std::string(int64_t oc)> expression;
-    bool floating = false;  ///< their type is double or float
+    bool floating = false;  ///< not wrapped: may be scaled in doubles where the proof allows
     /// By output channel how far they are too low; nowhere if empty.
     std::vector<int64_t> less = {};
   };

@@ -214,7 +214,8 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
   for (const DeviceProfile& profile : known_profiles())
     known += (known.empty() ? "" : ", ") + std::string(profile.name);
   app.add_option("--target", targets,
-                 fmt::format("device classes, a variant each: {}; all of them by \"all\"; "
+                 fmt::format("device classes, a variant each: {}; \"all\" for a package "
+                             "that goes anywhere, SSE and NEON take its AVX2 variant; "
                              "\"device\", the device at hand; a file of shale doctor --json, the "
                              "device in it (default: {})",
                              known, device ? "device" : default_target))
