@@ -149,6 +149,8 @@ void measure(benchmark::State& state, const std::string& name, const Package& pa
 void bench_convolution(benchmark::State& state, const Case& c, const std::string& kernel) {
   CompileOptions options;
   options.kernels = {kernel};
+  options.targets = {"device"};  // as many live sums as this processor has registers for
+  options.profiles.emplace("device", profile_from_caps(device().context().caps));
   Result<Compiled> compiled = compile_graph(convolution(c), 0, options);
   if (!compiled) return state.SkipWithError(compiled.error().text().c_str());
   const Variant& variant = compiled->package.variants[0];
