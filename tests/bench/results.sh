@@ -57,6 +57,14 @@ END
   echo "960x540 to 1920x1080; copies are those of the host's images and the clears. By \`tests/bench/frames.sh\`."
   echo
   tests/bench/frames.sh "$build"
+  if [ -x "$build/tests/bench/peer_bench" ]; then
+    echo
+    echo "## The peer"
+    echo
+    echo "The network alone, 960x540, against XNNPACK of Debian 12 on the same threads. Its INT8 is not exact."
+    echo
+    tests/bench/peers.sh "$build"
+  fi
 } > "$part"
 mv "$part" "$out"
 echo "wrote $out"

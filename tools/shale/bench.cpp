@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 
+#include "runtime/vk/processor.h"
 #include "tools/shale/command.h"
 #include "tools/shale/device_run.h"
 #include "tools/shale/roof.h"
@@ -83,9 +84,10 @@ Json start_json(const StartTimes& times) {
   return {{"create_ms", times.create_ms}, {"first_run_ms", times.first_ms}};
 }
 
-Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const std::string& path) {
-  SHALE_TRY(ModelFiles model,
-            load_model(path, arguments.compile.frame, arguments.compile.precision));
+/// A roof that moves by more than this between runs is no measure.
+constexpr double kSteady = 1.3;
+
+Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const ModelFiles& model) {
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
   const auto begin = std::chrono::steady_clock::now();
   SHALE_TRY(const Compiled compiled, compile_model(model, options));
@@ -113,6 +115,7 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
   const std::vector<Tensor>& outputs = measured.outputs;
   const double roof = measured.roof;
   json["roof_gop_per_s"] = roof;
+  json["roof_swing"] = measured.roof_swing;
   if (arguments.naive) {
     CompileOptions naive = options;
     naive.kernels = {"generic"};
@@ -123,7 +126,7 @@ Result<Json> bench(const Arguments& arguments, const ToolDevice& device, const s
     // Sums of floats may differ in their last bits.
     for (size_t i = 0; i < outputs.size() && !has_reals(compiled.graph); ++i)
       if (outputs[i] != expected[i])
-        return bad_input(path, "the naive kernels give another result");
+        return bad_input(model.path, "the naive kernels give another result");
   }
   const auto naive_us = [&](const std::string& name) {
     double sum = 0;  // a layer may be several dispatches
@@ -209,6 +212,12 @@ void print_model(const Json& json, bool markdown) {
             json["total"]);
   fmt::print("\nroof before and after, float32 mul+add: {:.1f} GOP/s\n",
              json["roof_gop_per_s"].get<double>());
+  if (const double swing = json["roof_swing"].get<double>(); swing > kSteady)
+    fmt::print(
+        "the roof moved by a factor of {:.1f} between runs: other work is on the machine, and the "
+        "times "
+        "are not to be trusted\n",
+        swing);
   fmt::print(
       "predicted {:+.0f} % in all; {:.0f} % of the time in layers predicted within {:.0f} %\n",
       100 * (json["total"]["predicted_ms"].get<double>() / json["total"]["time_ms"].get<double>() -
@@ -230,12 +239,22 @@ void print_model(const Json& json, bool markdown) {
 Result<int> run(const Arguments& arguments) {
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   const DeviceCaps& caps = device.context().caps;
-  Json json{{"device", caps.name}, {"driver", caps.driver}, {"repeat", arguments.repeat}};
+  Json json{{"device", caps.name},
+            {"driver", caps.driver},
+            {"processor", vk::processor_model()},
+            {"repeat", arguments.repeat}};
+  // What cannot be read is named before minutes are spent on what can.
+  std::vector<ModelFiles> models;
+  for (const std::string& path : arguments.models) {
+    SHALE_TRY(ModelFiles model,
+              load_model(path, arguments.compile.frame, arguments.compile.precision));
+    models.push_back(std::move(model));
+  }
   SHALE_TRY(const std::vector<Roof> roofs, measure_roofs(device, arguments.repeat));
   for (const Roof& roof : roofs)
     json["roofs"].push_back({{"name", roof.name}, {"rate", roof.rate}, {"unit", roof.unit}});
   json["models"] = Json::array();
-  for (const std::string& model : arguments.models) {
+  for (const ModelFiles& model : models) {
     SHALE_TRY(Json one, bench(arguments, device, model));
     json["models"].push_back(std::move(one));
     if (interrupted()) return bad_input("", "interrupted");
@@ -245,8 +264,8 @@ Result<int> run(const Arguments& arguments) {
     print_json(json);
     return kDone;
   }
-  fmt::print("{}{} ({}), medians of {}\n\n", arguments.markdown ? "## " : "", caps.name,
-             caps.driver, arguments.repeat);
+  fmt::print("{}{} ({}) on {}, medians of {}\n\n", arguments.markdown ? "## " : "", caps.name,
+             caps.driver, vk::processor_model(), arguments.repeat);
   if (arguments.markdown) fmt::print("| roof | rate |\n|---|---:|\n");
   for (const Roof& roof : roofs)
     fmt::print("{}", arguments.markdown

@@ -198,6 +198,8 @@ Result<RoofedTimes> measure_under_roof(const ToolDevice& device, const Package& 
   };
   RoofedTimes result;
   result.roof = median(roofs);
+  const auto [lowest, highest] = std::minmax_element(roofs.begin(), roofs.end());
+  result.roof_swing = *highest / *lowest;
   for (size_t i = 0; i < frames.size(); ++i) {
     for (DispatchTime& time : frames[i]) time.time_us *= roofs[i] / result.roof;
     wholes[i] *= roofs[i] / result.roof;

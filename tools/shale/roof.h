@@ -42,6 +42,8 @@ struct RoofedTimes {
   std::vector<DispatchTime> times;
   double whole_us = 0;  ///< of runs without timestamps between dispatches
   double roof = 0;
+  double roof_swing =
+      1;  ///< the highest roof to the lowest; far above 1 if the machine does other work
   std::vector<Tensor> outputs;
 };
 
