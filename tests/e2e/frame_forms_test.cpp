@@ -50,6 +50,7 @@ const Model kModels[] = {
     {"baselines/catmull_rom", "", {25, 18}, {43, 31}},
     {"baselines/lanczos", "", {25, 18}, {43, 31}},
     {"baselines/mob_fgsr", "", {25, 18}, {43, 31}},
+    {"baselines/tss", "", {25, 18}, {43, 31}},
 };
 
 /// Noise in colour and depth; motion of up to 3 render pixels in patches.

@@ -33,7 +33,7 @@ struct Output {
 
 struct Kind {
   const char* model;
-  std::vector<Output> outputs;
+  std::vector<Output> outputs;  ///< none: a sandwich without a network
   double reach;  ///< output pixels, per axis, between a pixel's middle and a sample that it takes
 
   friend void PrintTo(const Kind& kind, std::ostream* out) { *out << kind.model; }
@@ -51,6 +51,8 @@ const Kind kKinds[] = {
       {"temporal", 1, 4},
       {"feedback", 1, 4}},
      2.5},
+    // Two render texels, at a ratio of 3.
+    {"baselines/tss", {}, 6},
 };
 
 /// Same outputs as the trained network, from 8x8 on.
@@ -109,7 +111,9 @@ class SandwichTest : public ToolDeviceTest<testing::Test> {
   }
   static std::unique_ptr<Player> player_of(const Kind& kind, uint64_t seed, Extent render,
                                            Extent output) {
-    return player_of(models() + kind.model, stand_in(kind, seed), render, output);
+    return player_of(models() + kind.model,
+                     kind.outputs.empty() ? std::nullopt : std::optional(stand_in(kind, seed)),
+                     render, output);
   }
   static std::string models() { return source_folder() + "/models/"; }
 };
@@ -266,7 +270,7 @@ TEST_F(SandwichTest, SymmetricPassesFlipWithThePicture) {
   // then to another half float at most; a choice (a texel, the depth test) may fall the other way
   // where a position lies that close to a border, which few pixels do.
   const Extent render{32, 24}, output{64, 48};
-  for (const char* name : {"nearest", "bilinear", "catmull_rom", "lanczos", "mob_fgsr"}) {
+  for (const char* name : {"nearest", "bilinear", "catmull_rom", "lanczos", "mob_fgsr", "tss"}) {
     const std::string folder = models() + "baselines/" + name;
     const auto one = player_of(folder, {}, render, output);
     const auto other = player_of(folder, {}, render, output);
@@ -284,6 +288,7 @@ TEST_F(SandwichTest, SymmetricPassesFlipWithThePicture) {
   // NSS chooses among depths and kernels that are not centred; but it sees a mirrored frame's
   // colours mirrored, to a code.
   for (const Kind& kind : kKinds) {
+    if (kind.outputs.empty()) continue;
     const auto one = player_of(kind, kSeed, render, output);
     const auto other = player_of(kind, kSeed, render, output);
     const SourceFrame frame = noise_frame(render, output, 0, kSeed);

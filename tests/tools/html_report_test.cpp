@@ -66,7 +66,10 @@ EvalReport made_up_report(uint32_t width = 200, uint32_t height = 150, uint32_t 
       means.flip = 0.1223456 - 0.02 * at;
       const IfSsimValue stability{0.95 + 0.01 * at, 0.94 + 0.01 * at, 0.23};
       means.if_ssim = IfSsim{stability, stability, stability, frames - 1, true};
-      if (m == 0) means.still = StillDeviation{0.5, 27.0, 18};
+      if (m == 0) means.still = StillDeviation{0.5, 27.0, 18, 0.4};
+      if (m == 0) means.temporal.lag = Lag{2.5, 0.25, 100};
+      means.temporal.grid = Grid{0.25 + at, 0.5, 12};
+      means.first = {10, 26.5 + at, 0.84, 0.13, -1.5};
       if (m != 1) means.time_ms = 1.5 + at;
       scene.methods.push_back(std::move(result));
     }
@@ -109,6 +112,14 @@ TEST(HtmlReport, CarriesTheSameDataAsTheJson) {
   EXPECT_EQ(json["scenes"][0]["methods"][2]["frames"][3]["psnr_infinite"], true);
   EXPECT_EQ(json["scenes"][1]["methods"][0]["means"]["if_ssim"]["masked_fraction"], 0.23);
   EXPECT_NEAR(json["mean_of_scenes"][0]["means"]["psnr_db"].get<double>(), 27.1234, 1e-9);
+  const Json& means = json["scenes"][0]["methods"][0]["means"];
+  EXPECT_EQ(means["lag"]["frames"], 2.5);
+  EXPECT_EQ(means["still"]["rest_code_values"], 0.4);
+  EXPECT_EQ(means["grid"]["codes_over_truth"], -0.25);
+  EXPECT_EQ(means["first_frames"]["brightness_codes"], -1.5);
+  EXPECT_FALSE(means.contains("later_frames")) << "there are none";
+  EXPECT_FALSE(json["scenes"][0]["methods"][1]["means"].contains("lag"));
+  EXPECT_NE(html.find("<th scope=\"col\">lag<small>"), std::string::npos);
 }
 
 TEST(HtmlReport, TablesShowTheNumbersOfTheJsonAndMarkTheBest) {

@@ -114,7 +114,43 @@ Json if_ssim_json(const IfSsimValue& value) {
           {"masked_fraction", value.masked_fraction}};
 }
 
-Json means_json(const SequenceMetrics& means) {
+Json trail_json(const Trail& trail) {
+  Json codes = Json::array();
+  for (uint32_t age = 0; age < kTrailFrames; ++age)
+    codes.push_back(trail.pixels[age] ? Json(trail.codes[age]) : Json(nullptr));
+  Json json{{"codes_by_frame", std::move(codes)}, {"pixels_by_frame", trail.pixels}};
+  put(json, "codes", trail.mean(0));
+  put(json, "codes_from_frame_3", trail.mean(3));
+  return json;
+}
+
+void put_temporal(Json& json, const TemporalMetrics& temporal) {
+  put(json, "brightness_codes", temporal.brightness_codes);
+  if (temporal.lag)
+    json["lag"] = {{"frames", temporal.lag->frames},
+                   {"open_fraction", temporal.lag->open_fraction},
+                   {"pixels", temporal.lag->events}};
+  if (temporal.trail) json["trail"] = trail_json(*temporal.trail);
+  if (temporal.sky_trail) json["sky_trail"] = trail_json(*temporal.sky_trail);
+  if (temporal.grid)
+    json["grid"] = {{"codes_over_truth", temporal.grid->output_codes - temporal.grid->truth_codes},
+                    {"output_codes", temporal.grid->output_codes},
+                    {"truth_codes", temporal.grid->truth_codes},
+                    {"windows", temporal.grid->windows}};
+}
+
+void put_part(Json& json, const char* key, const PartMetrics& part) {
+  if (part.frames == 0) return;
+  Json& to = json[key] = {{"frames", part.frames}};
+  put(to, "psnr_db", part.psnr_db);
+  put(to, "ssim", part.ssim);
+  put(to, "flip", part.flip);
+  put(to, "brightness_codes", part.brightness_codes);
+}
+
+}  // namespace
+
+Json sequence_json(const SequenceMetrics& means) {
   Json json{{"frames", means.frames}};
   put(json, "psnr_db", means.psnr_db);
   put(json, "ssim", means.ssim);
@@ -134,10 +170,16 @@ Json means_json(const SequenceMetrics& means) {
     json["still"] = {{"std_code_values", means.still->code_values}};
     put(json["still"], "psnr_db", means.still->psnr_db);
     json["still"]["frames"] = means.still->frames;
+    put(json["still"], "rest_code_values", means.still->rest_code_values);
   }
+  put_temporal(json, means.temporal);
+  put_part(json, "first_frames", means.first);
+  put_part(json, "later_frames", means.later);
   put(json, "time_ms", means.time_ms);
   return json;
 }
+
+namespace {
 
 /// A column of the tables: where its value lies in the JSON of a method's means, and how it is shown.
 struct Column {
@@ -162,6 +204,21 @@ const std::vector<Column>& columns() {
       {"IF masked", "fraction", Json::json_pointer("/if_ssim/masked_fraction"), 3, 0},
       {"still std", "codes, lower", Json::json_pointer("/still/std_code_values"), 3, -1},
       {"still PSNR", "dB, higher", Json::json_pointer("/still/psnr_db"), 2, 1},
+      {"rest", "codes, lower", Json::json_pointer("/still/rest_code_values"), 3, -1},
+      {"lag", "frames, lower", Json::json_pointer("/lag/frames"), 2, -1},
+      {"lag open", "fraction, lower", Json::json_pointer("/lag/open_fraction"), 3, -1},
+      {"brightness", "codes over truth", Json::json_pointer("/brightness_codes"), 2, 0},
+      {"trail", "codes, lower", Json::json_pointer("/trail/codes"), 2, -1},
+      {"trail from 3", "codes, lower", Json::json_pointer("/trail/codes_from_frame_3"), 2, -1},
+      {"sky trail", "codes, lower", Json::json_pointer("/sky_trail/codes"), 2, -1},
+      {"sky from 3", "codes, lower", Json::json_pointer("/sky_trail/codes_from_frame_3"), 2, -1},
+      {"grid", "codes over truth, lower", Json::json_pointer("/grid/codes_over_truth"), 3, -1},
+      {"PSNR first 10", "dB, higher", Json::json_pointer("/first_frames/psnr_db"), 2, 1},
+      {"PSNR later", "dB, higher", Json::json_pointer("/later_frames/psnr_db"), 2, 1},
+      {"SSIM first 10", "higher", Json::json_pointer("/first_frames/ssim"), 4, 1},
+      {"SSIM later", "higher", Json::json_pointer("/later_frames/ssim"), 4, 1},
+      {"FLIP first 10", "lower", Json::json_pointer("/first_frames/flip"), 4, -1},
+      {"FLIP later", "lower", Json::json_pointer("/later_frames/flip"), 4, -1},
   };
   return kColumns;
 }
@@ -218,7 +275,7 @@ class PageWriter {
   std::string text_;
 };
 
-/// Rows are methods; `means` by method, in the form of means_json.
+/// Rows are methods; `means` by method, in the form of sequence_json.
 void write_table(PageWriter& page, const std::vector<std::string>& methods,
                  const std::vector<const Json*>& means) {
   std::vector<const Column*> present;
@@ -344,7 +401,12 @@ padding by 5; "valid" leaves out the border of 5, "luma" is of Rec. 709 luma. FL
 IF-SSIM: SSIM between a frame and the one before, warped by the reference's motion, at half size, with
 disocclusions and changes of shading masked; wholly masked windows count as 1, so the masked fraction is given, and
 as "IF valid" the mean of the windows with a valid centre. Its threshold T is an approximation, so T/2 and 2T are given.
-Still std: deviation over time while the camera does not move, from 16 frames after it stopped.</p></footer>
+Still std: deviation over time while the camera does not move, from 16 frames after it stopped; rest: of the pixels that do
+not change in the truth.</p>
+<p>Lag: frames until a pixel whose brightness changed by 24 codes or more has made 90 % of it, 16 at most; open: not made by
+then. Brightness: output less truth. Trail: mean absolute error of what was uncovered in the last 8 frames; "from 3": 3 to 7
+frames ago; the sky apart. Grid: deviation of the phases of the jitter's grid from each other in smooth places, above the
+truth's.</p></footer>
 )";
 
 void check_shape(const EvalReport& report) {
@@ -517,7 +579,7 @@ Json report_json(const EvalReport& report) {
                {"shown", Json::array()}};
     for (size_t m = 0; m < scene.methods.size(); ++m) {
       Json method{{"method", report.methods[m]},
-                  {"means", means_json(scene.methods[m].means)},
+                  {"means", sequence_json(scene.methods[m].means)},
                   {"frames", Json::array()}};
       for (const FrameResult& frame : scene.methods[m].frames) {
         Json one = metrics_json(frame.metrics);

@@ -74,6 +74,9 @@ ShownFrame show_frame(uint32_t index, const FloatImage& reference,
 /// "psnr_infinite" true.
 nlohmann::ordered_json metrics_json(const FrameMetrics& metrics);
 
+/// A sequence's means; what is not there has no key.
+nlohmann::ordered_json sequence_json(const SequenceMetrics& means);
+
 /// Everything but the pictures; "mean_of_scenes" has the mean of the scenes' means by method.
 nlohmann::ordered_json report_json(const EvalReport& report);
 

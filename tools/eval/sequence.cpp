@@ -13,7 +13,6 @@ namespace {
 /// T, T/2, 2T: rank orders must not hinge on our approximation of the threshold.
 constexpr float kThresholdFactors[3] = {1, 0.5f, 2};
 constexpr float kDepthTolerance = 0.01f;
-constexpr uint32_t kLumaRadius = 2;  // of the 5x5 window that brightness is taken from
 
 /// The colour change that is noticed, in code values, at a brightness of 0 to 255. Ours, for a phone's
 /// screen: the paper has a curve only.
@@ -46,39 +45,6 @@ struct Bilinear {
     return sum;
   }
 };
-
-/// Mean luma over 5x5 pixels, 0 to 255; at the border over those that are inside.
-std::vector<float> brightness_of(const FloatImage& image, uint32_t threads) {
-  const uint32_t width = image.width, height = image.height;
-  const auto count = [](uint32_t at, uint32_t size) {
-    return static_cast<float>(std::min(at + kLumaRadius, size - 1) -
-                              (at > kLumaRadius ? at - kLumaRadius : 0) + 1);
-  };
-  std::vector<float> sums(size_t{width} * height), result(sums.size());
-  parallel_rows(height, threads, [&](uint32_t begin, uint32_t end) {
-    std::vector<float> luma(width + 2 * kLumaRadius);
-    for (uint32_t y = begin; y < end; ++y) {
-      for (uint32_t x = 0; x < width; ++x) {
-        const float* const rgb = image.at(x, y);
-        luma[x + kLumaRadius] = 255 * (0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2]);
-      }
-      float* const out = &sums[size_t{y} * width];
-      for (uint32_t x = 0; x < width; ++x)
-        out[x] = luma[x] + luma[x + 1] + luma[x + 2] + luma[x + 3] + luma[x + 4];
-    }
-  });
-  parallel_rows(height, threads, [&](uint32_t begin, uint32_t end) {
-    for (uint32_t y = begin; y < end; ++y) {
-      float* const out = &result[size_t{y} * width];
-      const uint32_t first = y > kLumaRadius ? y - kLumaRadius : 0,
-                     last = std::min(y + kLumaRadius, height - 1);
-      for (uint32_t row = first; row <= last; ++row)
-        for (uint32_t x = 0; x < width; ++x) out[x] += sums[size_t{row} * width + x];
-      for (uint32_t x = 0; x < width; ++x) out[x] /= count(x, width) * count(y, height);
-    }
-  });
-  return result;
-}
 
 Result<void> check_plane(const char* what, const FloatImage& image, uint32_t channels,
                          const FloatImage& display) {
@@ -118,7 +84,8 @@ bool same_view(const FrameCamera& a, const FrameCamera& b) {
 
 // The reference side.
 
-ReferenceTrack::ReferenceTrack(const SequenceOptions& options) : options_(options) {}
+ReferenceTrack::ReferenceTrack(const SequenceOptions& options)
+    : options_(options), temporal_(options.grid_period, options.frame.threads) {}
 
 Result<void> ReferenceTrack::advance(TruthFrame truth) {
   SHALE_TRY_VOID(check_comparable(truth.display, truth.display));
@@ -136,6 +103,12 @@ Result<void> ReferenceTrack::advance(TruthFrame truth) {
       truth.display.height > 1)
     warp_ = make_warp(truth);
   still_frames_ = frames_ > 0 && truth.camera_still && !truth.cut ? still_frames_ + 1 : 0;
+  if (options_.temporal)
+    temporal_.advance({.display = &truth.display,
+                       .motion = truth.motion,
+                       .depth = truth.depth,
+                       .reverse_depth = truth.reverse_depth,
+                       .cut = truth.cut});
   depth_ = truth.depth ? *truth.depth : FloatImage{};
   reference_ = PreparedReference(std::move(truth.display), options_.frame);
   ++frames_;
@@ -211,8 +184,16 @@ Result<FrameMetrics> SequenceEvaluator::add(FloatImage output, const ReferenceTr
                      frames_ + 1);
   SHALE_TRY_VOID(check_comparable(track.reference().picture(), output));
   const FrameMetrics metrics = compare(track.reference(), output, flip_map);
+  Part& part = parts_[frames_ < kFirstFrames ? 0 : 1];
   ++frames_;
-  if (metrics.psnr_db) psnr_db_.add(std::min(*metrics.psnr_db, kPsnrCapDb));
+  if (metrics.psnr_db) {
+    psnr_db_.add(std::min(*metrics.psnr_db, kPsnrCapDb));
+    part.psnr_db.add(std::min(*metrics.psnr_db, kPsnrCapDb));
+  }
+  if (metrics.ssim) part.ssim.add(metrics.ssim->full);
+  if (metrics.flip) part.flip.add(*metrics.flip);
+  if (options_.temporal)
+    part.brightness.add(temporal_.add(output, track.reference().picture(), track.temporal_));
   if (metrics.ssim) {
     ssim_.add(metrics.ssim->full);
     ssim_luma_.add(metrics.ssim->luma);
@@ -224,7 +205,7 @@ Result<FrameMetrics> SequenceEvaluator::add(FloatImage output, const ReferenceTr
   if (track.warp_ && !previous_.empty()) add_if_ssim(output, track);
   if (options_.still_deviation) {
     if (track.still_frames() >= options_.settle_frames) {
-      add_still(output, metrics);
+      add_still(output, track.reference().picture(), metrics);
     } else if (still_.frames > 0) {
       add_stretch(still_, ended_);
       still_ = {};
@@ -287,31 +268,51 @@ void SequenceEvaluator::add_if_ssim(const FloatImage& output, const ReferenceTra
   every_pair_by_depth_ = every_pair_by_depth_ && warp.by_depth;
 }
 
-void SequenceEvaluator::add_still(const FloatImage& output, const FrameMetrics& metrics) {
+void SequenceEvaluator::add_still(const FloatImage& output, const FloatImage& truth,
+                                  const FrameMetrics& metrics) {
+  const auto code_of = [](float value) {
+    return static_cast<uint8_t>(std::clamp(value, 0.0f, 1.0f) * 255 + 0.5f);
+  };
   const size_t count = output.values.size();
   still_.sum.resize(count);
   still_.square.resize(count);
+  still_.changed.resize(count / 3);
+  if (still_.frames == 0) {
+    still_.truth.resize(count);
+    std::transform(truth.values.begin(), truth.values.end(), still_.truth.begin(), code_of);
+  }
   for (size_t i = 0; i < count; ++i) {
-    const auto code = static_cast<uint32_t>(std::clamp(output.values[i], 0.0f, 1.0f) * 255 + 0.5f);
+    const uint32_t code = code_of(output.values[i]);
     still_.sum[i] += code;
     still_.square[i] += code * code;
+    still_.changed[i / 3] |= code_of(truth.values[i]) != still_.truth[i];
   }
   if (metrics.psnr_db) still_.psnr_db.add(std::min(*metrics.psnr_db, kPsnrCapDb));
   ++still_.frames;
 }
 
-void SequenceEvaluator::add_stretch(const Still& still, StillDeviation& sums) {
+void SequenceEvaluator::add_stretch(const Still& still, StillSums& sums) {
   if (still.frames < 2) return;
-  double total = 0;
+  double total = 0, rest = 0;
+  size_t at_rest = 0;
   for (size_t i = 0; i < still.sum.size(); ++i) {
     // n sum(x^2) - sum(x)^2 in integers is exact.
     const uint64_t spread =
         uint64_t{still.frames} * still.square[i] - uint64_t{still.sum[i]} * still.sum[i];
-    total += std::sqrt(static_cast<double>(spread));
+    const double deviation = std::sqrt(static_cast<double>(spread));
+    total += deviation;
+    if (still.changed[i / 3]) continue;
+    rest += deviation;
+    ++at_rest;
   }
   sums.code_values += total / static_cast<double>(still.sum.size());
-  if (still.psnr_db.count > 0) sums.psnr_db = sums.psnr_db.value_or(0) + still.psnr_db.sum;
   sums.frames += still.frames;
+  if (at_rest > 0) {
+    sums.rest_code_values += rest / static_cast<double>(at_rest);
+    sums.rest_frames += still.frames;
+  }
+  sums.psnr_db += still.psnr_db.sum;
+  sums.psnr_frames += still.psnr_db.count;
 }
 
 SequenceMetrics SequenceEvaluator::finish() const {
@@ -330,13 +331,23 @@ SequenceMetrics SequenceEvaluator::finish() const {
     };
     result.if_ssim = {value(0), value(1), value(2), if_ssim_[0].count, every_pair_by_depth_};
   }
-  StillDeviation still = ended_;
+  StillSums still = ended_;
   add_stretch(still_, still);
   if (still.frames > 0) {
-    still.code_values /= still.frames;
-    if (still.psnr_db) *still.psnr_db /= still.frames;
-    result.still = still;
+    const auto mean = [](double sum, uint32_t frames) {
+      return frames ? std::optional(sum / frames) : std::nullopt;
+    };
+    result.still =
+        StillDeviation{still.code_values / still.frames, mean(still.psnr_db, still.psnr_frames),
+                       still.frames, mean(still.rest_code_values, still.rest_frames)};
   }
+  result.temporal = temporal_.finish();
+  const auto part = [](const Part& sums, uint32_t frames) {
+    return PartMetrics{frames, sums.psnr_db.value(), sums.ssim.value(), sums.flip.value(),
+                       sums.brightness.value()};
+  };
+  result.first = part(parts_[0], std::min(frames_, kFirstFrames));
+  result.later = part(parts_[1], frames_ - result.first.frames);
   return result;
 }
 

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "tools/eval/metrics.h"
+#include "tools/eval/temporal.h"
 
 namespace shale {
 
@@ -34,7 +35,18 @@ struct StillDeviation {
   double code_values = 0;  ///< standard deviation over time, mean over pixels and channels, of 255
   std::optional<double> psnr_db;  ///< mean over the same frames, infinite ones capped
   uint32_t frames = 0;
+  /// Likewise of the pixels alone that did not change in the truth.
+  std::optional<double> rest_code_values;
 };
+
+/// Means over a part of the frames.
+struct PartMetrics {
+  uint32_t frames = 0;
+  std::optional<double> psnr_db, ssim, flip, brightness_codes;
+};
+
+/// Frames of a sequence until its history counts as built up.
+inline constexpr uint32_t kFirstFrames = 10;
 
 /// Means over frames; what was not asked for, or not to be had, is empty.
 struct SequenceMetrics {
@@ -43,6 +55,8 @@ struct SequenceMetrics {
   std::optional<double> ssim, ssim_valid, ssim_luma, ssim_luma_valid, flip;
   std::optional<IfSsim> if_ssim;
   std::optional<StillDeviation> still;
+  TemporalMetrics temporal;
+  PartMetrics first, later;  ///< the first kFirstFrames frames and those behind them
   std::optional<double> time_ms;
 };
 
@@ -50,6 +64,8 @@ struct SequenceOptions {
   MetricOptions frame;
   bool if_ssim = true;
   bool still_deviation = true;
+  bool temporal = true;
+  uint32_t grid_period = 2;  ///< of the jitter's samples in the output, see grid_period()
   /// Frames after the camera stopped that are left out of the still deviation: one jitter period.
   uint32_t settle_frames = 16;
 };
@@ -59,6 +75,7 @@ struct TruthFrame {
   FloatImage display;                  ///< RGB in [0, 1]
   const FloatImage* motion = nullptr;  ///< without it there is no IF-SSIM for this frame
   const FloatImage* depth = nullptr;   ///< without it IF-SSIM masks by colour alone
+  bool reverse_depth = false;          ///< depth 1 is near
   bool cut = false;                    ///< nothing is continued from the frame before
   bool camera_still = false;           ///< same view as in the frame before
 };
@@ -99,6 +116,7 @@ class ReferenceTrack {
   PreparedReference reference_;
   FloatImage depth_;  ///< of the current frame; empty if there is none
   std::optional<Warp> warp_;
+  TemporalTrack temporal_;
   uint32_t frames_ = 0, still_frames_ = 0;
 };
 
@@ -126,17 +144,28 @@ class SequenceEvaluator {
       return count ? std::optional(sum / count) : std::nullopt;
     }
   };
+  /// Means of a part of the frames.
+  struct Part {
+    Mean psnr_db, ssim, flip, brightness;
+  };
+  /// Sums over stretches, weighted by frames.
+  struct StillSums {
+    double code_values = 0, rest_code_values = 0, psnr_db = 0;
+    uint32_t frames = 0, rest_frames = 0, psnr_frames = 0;
+  };
   /// Running sums of a still stretch, in code values.
   struct Still {
     std::vector<uint32_t> sum, square;
+    std::vector<uint8_t> truth;    ///< of the first frame
+    std::vector<uint8_t> changed;  ///< by pixel: some other frame's truth is not that
     Mean psnr_db;
     uint32_t frames = 0;
   };
 
   void add_if_ssim(const FloatImage& output, const ReferenceTrack& track);
-  void add_still(const FloatImage& output, const FrameMetrics& metrics);
+  void add_still(const FloatImage& output, const FloatImage& truth, const FrameMetrics& metrics);
   /// Adds a stretch to sums that are weighted by frames.
-  static void add_stretch(const Still& still, StillDeviation& sums);
+  static void add_stretch(const Still& still, StillSums& sums);
 
   SequenceOptions options_;
   uint32_t frames_ = 0;
@@ -145,7 +174,9 @@ class SequenceEvaluator {
   Mean if_ssim_[3], if_ssim_valid_[3], masked_[3];
   bool every_pair_by_depth_ = true;
   Still still_;
-  StillDeviation ended_;  ///< sums over the stretches that ended
+  StillSums ended_;  ///< of the stretches that ended
+  TemporalEvaluator temporal_;
+  Part parts_[2];  ///< the first frames, the later ones
 };
 
 }  // namespace shale

@@ -7,10 +7,12 @@
 #include "ir/base/file.h"
 #include "tools/eval/html_report.h"
 #include "tools/eval/metrics.h"
-#include "tools/eval/tonemap.h"
-#include "tools/scene/exr.h"
+#include "tools/eval/sequence.h"
 #include "tools/shale/command.h"
+#include "tools/shale/evaluate.h"
 #include "tools/shale/outputs.h"
+#include "tools/shale/pictures.h"
+#include "tools/shale/source.h"
 
 namespace shale {
 namespace {
@@ -18,60 +20,17 @@ namespace {
 namespace fs = std::filesystem;
 
 struct Arguments {
-  std::string reference, test, map;
+  std::string reference, test, map, dataset;
   std::vector<std::string> metrics{"psnr", "ssim", "flip"};
   double pixels_per_degree = kDefaultPixelsPerDegree;
-  float exposure = 1;
-  bool json = false;
+  std::vector<float> exposures;
+  SourceArguments source;
+  bool over_time = false, json = false;
 };
 
 struct Pair {
   std::string name, reference, test;
 };
-
-std::string extension_of(const fs::path& path) {
-  std::string extension = path.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return extension;
-}
-
-/// Largest picture, in pixels: the metrics' planes take some 60 bytes for each.
-constexpr uint64_t kMaxPixels = uint64_t{1} << 26;
-
-/// As a display shows it: OpenEXR pictures are linear HDR, the others are that already.
-Result<FloatImage> load_display(const std::string& path, float exposure) {
-  if (extension_of(path) == ".exr") {
-    SHALE_TRY(const FloatImage linear, read_exr(path, 3));
-    return display_image(linear, exposure);
-  }
-  SHALE_TRY(const Picture picture, load_picture(path));
-  if (uint64_t{picture.width} * picture.height > kMaxPixels)
-    return unsupported(path, "has {}x{} pixels, metrics take {} at most", picture.width,
-                       picture.height, kMaxPixels);
-  return to_float_image(picture);
-}
-
-/// Pictures of a folder by name without extension.
-Result<std::map<std::string, std::string>> pictures_of(const std::string& folder) {
-  std::error_code error;
-  std::map<std::string, std::string> files;
-  fs::directory_iterator it(folder, error);
-  for (; !error && it != fs::directory_iterator(); it.increment(error)) {
-    const std::string extension = extension_of(it->path());
-    for (const char* known : {".png", ".jpg", ".jpeg", ".bmp", ".tga", ".exr"}) {
-      if (extension != known) continue;
-      const auto [other, is_new] = files.emplace(it->path().stem().string(), it->path().string());
-      if (!is_new)
-        return bad_input(folder, "holds both {} and {}: which one is meant?",
-                         fs::path(other->second).filename().string(),
-                         it->path().filename().string());
-    }
-  }
-  if (error) return io_error(folder, "cannot list: {}", error.message());
-  if (files.empty()) return bad_input(folder, "holds no picture (.png, .jpg, .bmp, .tga, .exr)");
-  return files;
-}
 
 /// Two pictures, or the pictures of two folders that have the same name. In order of their names.
 Result<std::vector<Pair>> pairs_of(const Arguments& arguments) {
@@ -114,6 +73,20 @@ std::string cell(const Json& metrics, const Column& column) {
              : "-";
 }
 
+/// By pair; those of a dataset come with its frames.
+Result<std::vector<float>> exposures_of(const Arguments& arguments, FrameSource* source,
+                                        size_t pairs) {
+  if (source && source->frame_count() != pairs)
+    return bad_input("--dataset", "has {} frames, expected one for each of {} pairs",
+                     source->frame_count(), pairs);
+  const std::vector<float>& given = arguments.exposures;
+  if (given.size() > 1 && given.size() != pairs)
+    return bad_input("--exposure", "has {} factors, expected one, or one for each of {} pairs",
+                     given.size(), pairs);
+  if (given.size() > 1) return given;
+  return std::vector<float>(pairs, given.empty() ? 1.0f : given[0]);
+}
+
 void print_table(const Json& json, const Arguments& arguments) {
   std::vector<Column> columns;
   for (const Column& column : kColumns)
@@ -144,6 +117,18 @@ Result<int> diff(const Arguments& arguments) {
   options.ssim = wanted("ssim");
   options.flip = wanted("flip") || !arguments.map.empty();
   SHALE_TRY(const std::vector<Pair> pairs, pairs_of(arguments));
+  std::unique_ptr<FrameSource> source;
+  if (!arguments.dataset.empty()) {
+    SHALE_TRY(source, open_dataset(arguments.dataset, arguments.source));
+  }
+  SHALE_TRY(std::vector<float> exposures, exposures_of(arguments, source.get(), pairs.size()));
+  const bool over_time = arguments.over_time || source;
+  SequenceOptions measures;
+  measures.frame = options;
+  if (source) measures.grid_period = grid_period(source->render_size(), source->output_size());
+  ReferenceTrack track(measures);
+  SequenceEvaluator evaluator(measures);
+  std::optional<FrameCamera> previous;
   std::error_code error;
   const bool maps_to_folder = fs::is_directory(arguments.reference, error);
   std::vector<std::string> maps(arguments.map.empty() ? 0 : pairs.size(), arguments.map);
@@ -165,19 +150,31 @@ Result<int> diff(const Arguments& arguments) {
     for (size_t i = 0; i < pairs.size(); ++i) {
       const Pair& pair = pairs[i];
       if (!progress.step(i, pairs.size())) return bad_input("", "interrupted after {} pairs", i);
-      SHALE_TRY(FloatImage reference, load_display(pair.reference, arguments.exposure));
-      SHALE_TRY(const FloatImage test, load_display(pair.test, arguments.exposure));
+      SourceFrame frame;
+      if (source) {
+        SHALE_TRY(frame, source->frame(static_cast<uint32_t>(i), true));
+        if (arguments.exposures.empty()) exposures[i] = frame.camera.exposure;
+      }
+      SHALE_TRY(FloatImage reference, load_display(pair.reference, exposures[i]));
+      SHALE_TRY(FloatImage test, load_display(pair.test, exposures[i]));
       if (reference.width != test.width || reference.height != test.height)
         return bad_input(pair.test, "has {}x{} pixels, its reference {} has {}x{}", test.width,
                          test.height, pair.reference, reference.width, reference.height);
-      FloatImage map;
-      const FrameMetrics metrics =
-          compare(PreparedReference(std::move(reference), options), test, &map);
       Json entry{{"name", pair.name},
                  {"reference", pair.reference},
                  {"test", pair.test},
                  {"width", test.width},
                  {"height", test.height}};
+      FloatImage map;
+      FrameMetrics metrics;
+      if (over_time) {
+        if (Result<void> advanced = advance(track, std::move(reference), frame, previous);
+            !advanced)
+          return in_file(pair.reference, advanced.error());
+        SHALE_TRY(metrics, evaluator.add(std::move(test), track, std::nullopt, &map));
+      } else {
+        metrics = compare(PreparedReference(std::move(reference), options), test, &map);
+      }
       entry.update(metrics_json(metrics));
       if (!maps.empty()) {
         SHALE_TRY_VOID(save_png(maps[i], error_colours(map)));
@@ -197,10 +194,17 @@ Result<int> diff(const Arguments& arguments) {
   for (const Column& column : kColumns)
     if (const auto sum = sums.find(column.key); sum != sums.end())
       json["mean"][column.key] = sum->second.first / sum->second.second;
-  if (arguments.json)
+  const SequenceMetrics means = evaluator.finish();
+  if (over_time) json["over_time"] = sequence_json(means);
+  if (arguments.json) {
     print_json(json);
-  else
-    print_table(json, arguments);
+    return kDone;
+  }
+  print_table(json, arguments);
+  if (over_time) {
+    const std::vector<std::string> names{fs::path(arguments.test).filename().string()};
+    print_over_time(names, {&means});
+  }
   return kDone;
 }
 
@@ -220,12 +224,24 @@ Action add_diff(CLI::App& app) {
   app.add_option("--ppd", arguments->pixels_per_degree,
                  "pixels per degree of the viewer, for FLIP (default: 67.02)")
       ->check(number_in(4, 400));
-  app.add_option("--exposure", arguments->exposure,
-                 "factor on the linear colours of .exr pictures, which are then tone-mapped")
+  app.add_option(
+         "--exposure", arguments->exposures,
+         "factor on the linear colours of .exr pictures, which are then tone-mapped; one, or one "
+         "for each pair (default: the dataset's, else 1)")
+      ->delimiter(',')
+      ->allow_extra_args(false)
       ->check(number_in(1e-6, 1e6));
+  app.add_flag("--over-time", arguments->over_time,
+               "the pictures are frames in order: also what changes between them");
+  app.add_option(
+      "--dataset", arguments->dataset,
+      "folder of the dataset whose frames the pictures are: each frame's exposure, cut, motion "
+      "and depth; as --over-time");
+  arguments->source.add_to(app);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
       "Example: shale diff models/pictures/raster_x2.png result.png --map error.png\n"
+      "Example: shale diff thin/ground_truth/0000 frames --dataset thin --json\n"
       "In means an infinite PSNR, of equal pictures, counts as 100 dB; in JSON it is null.");
   return [arguments] { return diff(*arguments); };
 }

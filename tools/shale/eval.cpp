@@ -5,6 +5,7 @@
 #include "tools/shale/command.h"
 #include "tools/shale/evaluate.h"
 #include "tools/shale/outputs.h"
+#include "tools/shale/pictures.h"
 #include "tools/shale/source.h"
 
 namespace shale {
@@ -13,7 +14,7 @@ namespace {
 namespace fs = std::filesystem;
 
 struct Arguments {
-  std::vector<std::string> inputs, methods;
+  std::vector<std::string> inputs, methods, pictures;
   std::string page, json_file;
   uint32_t shown = 1;
   SourceArguments source;
@@ -28,8 +29,11 @@ class Methods {
   Methods(const Arguments& arguments, const ToolDevice& device)
       : arguments_(arguments), device_(device) {}
 
-  /// Sizes of the first method without any being given: those that scenes are rendered in.
-  Result<std::pair<Extent, Extent>> default_sizes() const {
+  /// Sizes of the first method without any being given: those that the scene is rendered in.
+  Result<std::pair<Extent, Extent>> default_sizes(const std::string& scene) const {
+    if (arguments_.methods.empty())
+      return bad_input(scene,
+                       "is rendered in the size of the first --method: give one, or a dataset");
     SHALE_TRY(const Sandwich first,
               load_sandwich(arguments_.methods[0], arguments_.compile, {}, {}));
     return sandwich_sizes(first.package.variants.front());
@@ -65,6 +69,31 @@ class Methods {
   std::vector<PlayedMethod> methods_;
 };
 
+/// Pictures by method, behind what is played: NAME=FOLDER, with a folder in it called as the scene, or with the pictures of
+/// the only one.
+Result<void> add_pictures(const Arguments& arguments, const std::string& scene,
+                          std::vector<PlayedMethod>& methods) {
+  std::erase_if(methods, [](const PlayedMethod& method) { return !method.player; });
+  for (const std::string& option : arguments.pictures) {
+    const size_t equals = option.find('=');
+    if (equals == 0 || equals == std::string::npos || equals + 1 == option.size())
+      return bad_input("--pictures", "expected NAME=FOLDER, found \"{}\"", option);
+    PlayedMethod method{option.substr(0, equals), nullptr};
+    fs::path folder = option.substr(equals + 1);
+    std::error_code ignored;
+    if (fs::is_directory(folder / scene, ignored)) {
+      folder /= scene;
+    } else if (arguments.inputs.size() > 1) {
+      return bad_input(folder.string(), "holds no folder \"{}\", as it has to with several inputs",
+                       scene);
+    }
+    SHALE_TRY(const auto files, pictures_of(folder.string()));
+    for (const auto& [name, file] : files) method.pictures.push_back(file);
+    methods.push_back(std::move(method));
+  }
+  return {};
+}
+
 void print_table(const EvalReport& report) {
   size_t wide = 8;
   for (const std::string& method : report.methods) wide = std::max(wide, method.size());
@@ -85,11 +114,16 @@ void print_table(const EvalReport& report) {
                  cell(means.psnr_db, 2), cell(means.ssim, 4), cell(means.flip, 4), cell(if_ssim, 4),
                  cell(still, 3), cell(means.time_ms, 1));
     }
+    std::vector<const SequenceMetrics*> means;
+    for (const MethodResult& method : scene.methods) means.push_back(&method.means);
+    print_over_time(report.methods, means);
     for (const std::string& note : scene.notes) fmt::print("  {}\n", note);
   }
 }
 
 Result<int> eval(const Arguments& arguments) {
+  if (arguments.methods.empty() && arguments.pictures.empty())
+    return bad_input("", "expected a --method or --pictures");
   Outputs outputs;
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
@@ -112,12 +146,13 @@ Result<int> eval(const Arguments& arguments) {
           break;
         }
         case SourceKind::kScene: {
-          SHALE_TRY(const auto sizes, methods.default_sizes());
+          SHALE_TRY(const auto sizes, methods.default_sizes(input));
           SHALE_TRY(source, open_scene(input, arguments.source, device, sizes.first, sizes.second));
         }
       }
       SHALE_TRY(std::vector<PlayedMethod>* const ready,
                 methods.at(source->render_size(), source->output_size()));
+      SHALE_TRY_VOID(add_pictures(arguments, source->name(), *ready));
       report.methods.clear();
       for (const PlayedMethod& method : *ready) report.methods.push_back(method.name);
       Result<EvalScene> scene =
@@ -149,7 +184,12 @@ Action add_eval(CLI::App& app) {
   app.add_option("-m,--method", arguments->methods,
                  "model folder or package, again for each; the first one's frame.json gives scenes "
                  "their size")
-      ->required()
+      ->allow_extra_args(false);
+  app.add_option(
+         "--pictures", arguments->pictures,
+         "NAME=FOLDER, again for each: pictures that another program made of the frames, in "
+         "order of their names (.png; .exr is linear); of several inputs, in folders called as "
+         "they are")
       ->allow_extra_args(false);
   app.add_option("--page", arguments->page, "write a page to look at (.html)");
   app.add_option("--json-file", arguments->json_file, "write the figures as JSON");
@@ -163,7 +203,8 @@ Action add_eval(CLI::App& app) {
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
       "Example: shale eval models/scenes/test/thin.json -m models/nss_v1_high -m "
-      "models/baselines/mob_fgsr --frames 16 --page report.html");
+      "models/baselines/mob_fgsr --frames 16 --page report.html\n"
+      "Example: shale eval thin -m models/nss_v1_high --pictures other=frames");
   return [arguments] { return eval(*arguments); };
 }
 

@@ -2,6 +2,7 @@
 
 #include "tools/eval/sequence.h"
 #include "tools/eval/tonemap.h"
+#include "tools/shale/pictures.h"
 
 namespace shale {
 namespace {
@@ -13,7 +14,52 @@ bool is_shown(uint32_t index, uint32_t count, uint32_t shown) {
   return false;
 }
 
+std::string cell(const std::optional<double>& value, int digits) {
+  return value ? fmt::format("{:.{}f}", *value, digits) : std::string("-");
+}
+
+std::string cells(const std::optional<double>& a, const std::optional<double>& b, int digits) {
+  return cell(a, digits) + " " + cell(b, digits);
+}
+
+std::string cells(const std::optional<Trail>& trail) {
+  return trail ? cells(trail->mean(0), trail->mean(3), 2) : std::string("-");
+}
+
 }  // namespace
+
+Result<void> advance(ReferenceTrack& track, FloatImage display, const SourceFrame& frame,
+                     std::optional<FrameCamera>& previous) {
+  const auto known = [](const FloatImage& image) { return image.empty() ? nullptr : &image; };
+  const bool still = previous && same_view(*previous, frame.camera);
+  previous = frame.camera;
+  return track.advance({.display = std::move(display),
+                        .motion = known(frame.truth_motion),
+                        .depth = known(frame.truth_depth),
+                        .reverse_depth = frame.camera.reverse_depth,
+                        .cut = frame.camera.cut,
+                        .camera_still = still});
+}
+
+void print_over_time(const std::vector<std::string>& methods,
+                     const std::vector<const SequenceMetrics*>& means) {
+  size_t wide = 8;
+  for (const std::string& method : methods) wide = std::max(wide, method.size());
+  constexpr auto kLine = "  {:<{}} {:>13} {:>13} {:>13} {:>11} {:>8} {:>13} {:>11} {:>7} {:>7}\n";
+  fmt::print(kLine, "", wide, "PSNR <10,10+", "SSIM <10,10+", "FLIP <10,10+", "lag, open", "bright",
+             "trail, 3+", "sky, 3+", "grid", "rest");
+  for (size_t m = 0; m < methods.size(); ++m) {
+    const PartMetrics &first = means[m]->first, &later = means[m]->later;
+    const TemporalMetrics& temporal = means[m]->temporal;
+    fmt::print(
+        kLine, methods[m], wide, cells(first.psnr_db, later.psnr_db, 2),
+        cells(first.ssim, later.ssim, 4), cells(first.flip, later.flip, 4),
+        temporal.lag ? cells(temporal.lag->frames, temporal.lag->open_fraction, 2) : "-",
+        cell(temporal.brightness_codes, 2), cells(temporal.trail), cells(temporal.sky_trail),
+        temporal.grid ? cell(temporal.grid->output_codes - temporal.grid->truth_codes, 3) : "-",
+        means[m]->still ? cell(means[m]->still->rest_code_values, 3) : "-");
+  }
+}
 
 Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>& methods,
                                  const EvaluateOptions& options) {
@@ -26,30 +72,33 @@ Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>&
   scene.size =
       fmt::format("{}x{} to {}x{}", render.width, render.height, output.width, output.height);
   scene.methods.resize(methods.size());
-  ReferenceTrack track;
-  std::vector<SequenceEvaluator> evaluators(methods.size());
+  SequenceOptions measures;
+  measures.grid_period = grid_period(render, output);
+  ReferenceTrack track(measures);
+  std::vector<SequenceEvaluator> evaluators(methods.size(), SequenceEvaluator(measures));
   std::optional<FrameCamera> previous;
-  for (PlayedMethod& method : methods) method.player->reset();
+  for (PlayedMethod& method : methods) {
+    if (method.player)
+      method.player->reset();
+    else if (method.pictures.size() != count)
+      return bad_input(method.name, "has {} pictures, the sequence {} frames",
+                       method.pictures.size(), count);
+  }
   Progress progress("evaluating " + scene.name);
   for (uint32_t i = 0; i < count; ++i) {
     if (!progress.step(i, count))
       return bad_input(scene.name, "interrupted after {} of {} frames", i, count);
     SHALE_TRY(const SourceFrame frame, source.frame(i, true));
     if (frame.truth.empty()) return bad_input(scene.name, "frame {} has no ground truth", i);
-    const bool still = previous && same_view(*previous, frame.camera);
-    previous = frame.camera;
     SHALE_TRY_VOID(
-        track.advance({.display = display_image(frame.truth, frame.camera.exposure),
-                       .motion = frame.truth_motion.empty() ? nullptr : &frame.truth_motion,
-                       .depth = frame.truth_depth.empty() ? nullptr : &frame.truth_depth,
-                       .cut = frame.camera.cut,
-                       .camera_still = still}));
+        advance(track, display_image(frame.truth, frame.camera.exposure), frame, previous));
     const bool shows = is_shown(i, count, options.shown);
     std::vector<FloatImage> pictures(methods.size()), maps(methods.size());
     for (size_t m = 0; m < methods.size(); ++m) {
       std::vector<DispatchTime> times;
       SourceFrame given = frame;
-      if (i == 0 && options.timed) {
+      const bool timed = options.timed && methods[m].player;
+      if (i == 0 && timed) {
         SHALE_TRY_VOID([&]() -> Result<void> {
           SourceFrame once = frame;
           const Result<FloatImage> ignored = methods[m].player->show(once);
@@ -58,18 +107,23 @@ Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>&
           return {};
         }());
       }
-      Result<FloatImage> result = methods[m].player->show(given, options.timed ? &times : nullptr);
+      Result<FloatImage> result = methods[m].player
+                                      ? methods[m].player->show(given, timed ? &times : nullptr)
+                                      : load_display(methods[m].pictures[i], frame.camera.exposure);
       if (!result) return in_file(methods[m].name, result.error());
       std::optional<double> time_ms;
-      if (options.timed) {
+      if (timed) {
         double total_us = 0;
         for (const DispatchTime& time : times) total_us += time.time_us;
         time_ms = total_us / 1000;
       }
       if (shows) pictures[m] = *result;
-      SHALE_TRY(const FrameMetrics metrics,
-                evaluators[m].add(*std::move(result), track, time_ms, shows ? &maps[m] : nullptr));
-      scene.methods[m].frames.push_back({metrics, time_ms});
+      const Result<FrameMetrics> metrics =
+          evaluators[m].add(*std::move(result), track, time_ms, shows ? &maps[m] : nullptr);
+      if (!metrics)
+        return in_file(methods[m].player ? methods[m].name : methods[m].pictures[i],
+                       metrics.error());
+      scene.methods[m].frames.push_back({*metrics, time_ms});
     }
     if (shows) scene.shown.push_back(show_frame(i, track.reference().picture(), pictures, maps));
   }

@@ -10,10 +10,11 @@
 
 namespace shale {
 
-/// A sandwich that is ready to play.
+/// A sandwich that is ready to play, or pictures that another program made of the frames.
 struct PlayedMethod {
   std::string name;
   std::unique_ptr<Player> player;
+  std::vector<std::string> pictures{};  ///< without a player: files by frame, see load_display
 };
 
 struct EvaluateOptions {
@@ -23,9 +24,20 @@ struct EvaluateOptions {
 };
 
 /// Plays the source through every method, all started without a past; shows progress on a terminal.
-/// Errors: kBadInput without a ground truth, or if the user interrupts; those of the player, with the
-/// method's name.
+/// Errors: kBadInput without a ground truth, without a picture for each frame, or if the user interrupts; those of the
+/// player, with the method's name, and of pictures, with theirs.
 Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>& methods,
                                  const EvaluateOptions& options);
+
+/// The next frame of a reference as a display shows it; the rest of the truth, where it is known, and the camera are the
+/// frame's. `previous` is the camera of the frame before, and becomes this one's.
+/// Errors: as ReferenceTrack::advance.
+Result<void> advance(ReferenceTrack& track, FloatImage display, const SourceFrame& frame,
+                     std::optional<FrameCamera>& previous);
+
+/// The measures over time as a table on standard output, a line a method.
+/// Precondition: as many means as methods.
+void print_over_time(const std::vector<std::string>& methods,
+                     const std::vector<const SequenceMetrics*>& means);
 
 }  // namespace shale

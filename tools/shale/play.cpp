@@ -5,10 +5,12 @@
 #include "ir/base/file.h"
 #include "ir/reference/interpreter.h"
 #include "tools/eval/tonemap.h"
+#include "tools/scene/exr.h"
 #include "tools/shale/animation.h"
 #include "tools/shale/command.h"
 #include "tools/shale/npy.h"
 #include "tools/shale/outputs.h"
+#include "tools/shale/pictures.h"
 #include "tools/shale/player.h"
 #include "tools/shale/source.h"
 
@@ -20,7 +22,7 @@ namespace fs = std::filesystem;
 constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
 
 struct Arguments {
-  std::string model, input, output, compare, reference, animation, debug_view, dump;
+  std::string model, input, output, format, compare, reference, animation, debug_view, dump;
   std::vector<uint32_t> crop;
   uint32_t zoom = 4, repeat = 0;
   SourceArguments source;
@@ -36,9 +38,7 @@ Result<std::vector<std::string>> input_files(const std::string& path) {
   std::vector<std::string> files;
   fs::directory_iterator it(path, error);
   for (; !error && it != fs::directory_iterator(); it.increment(error)) {
-    std::string extension = it->path().extension().string();
-    std::transform(extension.begin(), extension.end(), extension.begin(),
-                   [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+    const std::string extension = extension_of(it->path().string());
     for (const char* known : {".png", ".jpg", ".jpeg", ".bmp", ".tga"})
       if (extension == known) files.push_back(it->path().string());
   }
@@ -203,6 +203,11 @@ struct Paths {
   std::vector<std::string> results, views;  ///< views: empty without --debug-view
 };
 
+bool writes_exr(const Arguments& arguments) {
+  return arguments.format.empty() ? extension_of(arguments.output) == ".exr"
+                                  : arguments.format == "exr";
+}
+
 Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind) {
   const bool is_pictures = kind == SourceKind::kPictures;
   std::error_code ignored;
@@ -221,12 +226,17 @@ Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, Sourc
   for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep(label(i));
   for (uint32_t i = 0; i < source.frame_count(); ++i) {
     const std::string name =
-        (is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", i)) + ".png";
-    paths.results.push_back(to_folder ? (fs::path(arguments.output) / name).string()
-                                      : arguments.output);
-    SHALE_TRY_VOID(outputs.claim_picture(label(i), paths.results.back()));
+        is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", i);
+    const bool is_exr = writes_exr(arguments);
+    paths.results.push_back(
+        to_folder ? (fs::path(arguments.output) / (name + (is_exr ? ".exr" : ".png"))).string()
+                  : arguments.output);
+    if (is_exr && extension_of(paths.results.back()) != ".exr")
+      return bad_input(paths.results.back(), "is written as OpenEXR, expected the suffix .exr");
+    SHALE_TRY_VOID(is_exr ? outputs.claim(label(i), paths.results.back())
+                          : outputs.claim_picture(label(i), paths.results.back()));
     if (arguments.debug_view.empty()) continue;
-    paths.views.push_back((fs::path(arguments.debug_view) / name).string());
+    paths.views.push_back((fs::path(arguments.debug_view) / (name + ".png")).string());
     SHALE_TRY_VOID(outputs.claim_picture("--debug-view of " + label(i), paths.views.back()));
   }
   SHALE_TRY_VOID(outputs.claim_picture("--compare", arguments.compare));
@@ -273,6 +283,10 @@ Result<int> play(const Arguments& arguments) {
   int exit = kDone;
   {
     SHALE_TRY(const std::unique_ptr<Player> player, Player::create(device, sandwich.package));
+    const bool to_exr = writes_exr(arguments);
+    if (to_exr && player->is_display())
+      return bad_input("--format", "exr holds linear colours, {} shows those of a display",
+                       arguments.model);
     Progress progress("playing");
     const uint32_t count = source->frame_count();
     for (uint32_t i = 0; i < count; ++i) {
@@ -285,12 +299,16 @@ Result<int> play(const Arguments& arguments) {
       std::vector<DispatchTime> times;
       std::vector<DispatchTime>* const wanted = arguments.profile ? &times : nullptr;
       Result<FloatImage> played =
-          is_sequence ? player->show(frame, wanted) : player->play(frame, wanted);
+          is_sequence && !to_exr ? player->show(frame, wanted) : player->play(frame, wanted);
       if (!played) return in_file(label, played.error());
       if (arguments.profile) measured.push_back(std::move(times));
-      const Picture result = to_picture(*played);
       const std::string& output = paths.results[i];
-      SHALE_TRY_VOID(save_png(output, result));
+      if (to_exr) {
+        SHALE_TRY_VOID(write_exr(output, *played, ExrPrecision::kHalf));
+        *played = display_image(*played, frame.camera.exposure);
+      }
+      const Picture result = to_picture(*played);
+      if (!to_exr) SHALE_TRY_VOID(save_png(output, result));
       Json entry{
           {"input", label}, {"output", output}, {"width", result.width}, {"height", result.height}};
       if (!arguments.animation.empty()) shown.push_back(encode_png(result));
@@ -355,8 +373,12 @@ Action add_play(CLI::App& app) {
                  "one size")
       ->required();
   app.add_option("-o,--output", arguments->output,
-                 "picture to write (.png), or folder for more than one")
+                 "picture to write (.png or .exr), or folder for more than one")
       ->required();
+  app.add_option(
+         "--format", arguments->format,
+         "png, as a display shows it, or exr: linear, halves (default: as the suffix, else png)")
+      ->check(CLI::IsMember({"png", "exr"}));
   arguments->source.add_to(app);
   app.add_option("--animation", arguments->animation, "also write all frames as animated PNG");
   app.add_option("--debug-view", arguments->debug_view,
@@ -386,6 +408,7 @@ Action add_play(CLI::App& app) {
       "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames "
       "8 "
       "--profile\n"
+      "Example: shale play models/baselines/tss -i thin -o frames --format exr\n"
       "Example: shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
       "panels.png");
   return [arguments] { return play(*arguments); };

@@ -75,6 +75,7 @@ TEST(Plan, OfSrpoX2) { expect_golden("srpo_x2", plans_of_folder("srpo_x2", {16, 
 TEST(Plan, OfMobFgsr) {
   expect_golden("mob_fgsr", plans_of_folder("baselines/mob_fgsr", {16, 12}));
 }
+TEST(Plan, OfTss) { expect_golden("tss", plans_of_folder("baselines/tss", {16, 12})); }
 
 }  // namespace
 }  // namespace shale
