@@ -1,11 +1,17 @@
 #include "tools/shale/device_run.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
+#include <cstdlib>
 #include <filesystem>
+#include <set>
+#include <thread>
 
 #include "compiler/passes/pass.h"
 #include "ir/base/file.h"
+#include "ir/base/parallel.h"
+#include "runtime/datagraph/dispatch.h"
 #include "runtime/datagraph/pipeline.h"
 #include "runtime/datagraph/session.h"
 #include "runtime/vk/commands.h"
@@ -129,7 +135,75 @@ double since_ms(Clock::time_point begin) {
   return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
 }
 
+/// A dispatch of one of the variant's networks as a package of its own.
+Package alone(const Package& package, const Variant& variant, const Segment& segment,
+              const Dispatch& dispatch) {
+  Package one{package.provenance, {variant}, package.weights};
+  Variant& only = one.variants.front();
+  only.modules = {variant.modules[dispatch.module]};
+  only.segments = {{segment.name, segment.kind, {dispatch}}};
+  only.segments.front().dispatches.front().module = 0;
+  only.programs.resize(1);
+  return one;
+}
+
+/// Longer than the first run of one dispatch whose code the driver has, next to a second run.
+constexpr double kCompiledMs = 30;
+
 }  // namespace
+
+void compile_ahead(const ToolDevice& device, const Package& package) {
+  const DeviceCaps& caps = device.context().caps;
+  const char* off = std::getenv("MESA_SHADER_CACHE_DISABLE");
+  if (!caps.cpu || std::thread::hardware_concurrency() < 2 || (off && *off)) return;
+  const Result<uint32_t> index = choose_variant(package, caps);
+  if (!index) return;
+  const Variant& variant = package.variants[*index];
+  struct Unit {
+    const Segment* segment;
+    const Dispatch* dispatch;
+  };
+  std::vector<Unit> units;
+  std::set<uint32_t> modules;
+  size_t words = 0;
+  for (const Segment& segment : variant.segments)
+    for (const Dispatch& dispatch : segment.dispatches)
+      if (segment.kind == SegmentKind::kGraph && modules.insert(dispatch.module).second) {
+        units.push_back({&segment, &dispatch});
+        words += variant.modules[dispatch.module].size();
+      }
+  if (words < kLongCompileWords) return;
+  const auto size = [&](const Unit& unit) { return variant.modules[unit.dispatch->module].size(); };
+  std::sort(units.begin(), units.end(),
+            [&](const Unit& a, const Unit& b) { return size(a) > size(b); });
+  // The first to be run tells whether the driver has the code: one of middle size, soon compiled.
+  std::rotate(units.begin(), units.begin() + static_cast<std::ptrdiff_t>(units.size() / 2),
+              units.begin() + static_cast<std::ptrdiff_t>(units.size() / 2) + 1);
+
+  DeviceArguments own_device;
+  own_device.name = caps.name;
+  /// False if that failed or the driver had the code.
+  const auto compile = [&](const ToolDevice& own, const Unit& unit) {
+    Result<NetworkRun> run = NetworkRun::prepare(
+        own.context(), alone(package, variant, *unit.segment, *unit.dispatch), VK_NULL_HANDLE, "");
+    if (!run) return false;
+    const Clock::time_point first = Clock::now();
+    if (!run->run()) return false;
+    const double first_ms = since_ms(first);
+    const Clock::time_point second = Clock::now();
+    return run->run() && first_ms - since_ms(second) > kCompiledMs;
+  };
+  {
+    const Result<ToolDevice> own = ToolDevice::open(own_device);
+    if (!own || !compile(*own, units.front())) return;
+  }
+  std::atomic<size_t> next = 1;
+  parallel_for(std::thread::hardware_concurrency(), [&](size_t) {
+    const Result<ToolDevice> own = ToolDevice::open(own_device);
+    for (size_t i = next++; own && i < units.size() && !interrupted(); i = next++)
+      compile(*own, units[i]);
+  });
+}
 
 /// In the order of construction: a session needs its pipeline.
 struct NetworkRun::State {
@@ -161,20 +235,27 @@ struct NetworkRun::State {
 Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& package,
                                       StartTimes* start) {
   const Clock::time_point begin = Clock::now();
-  const vk::Context& context = device.context();
   const std::string compiles = driver_compiles(package.variants.front());
   Progress progress(compiles);
+  compile_ahead(device, package);
+  SHALE_TRY(NetworkRun run,
+            prepare(device.context(), package, device.cache(), "first run, " + compiles));
+  if (start) start->create_ms = since_ms(begin);
+  return run;
+}
+
+Result<NetworkRun> NetworkRun::prepare(const vk::Context& context, const Package& package,
+                                       VkPipelineCache cache, std::string compiles) {
   SHALE_TRY(DataGraphPipeline pipeline,
-            DataGraphPipeline::create(context, package, {.cache = device.cache()}));
+            DataGraphPipeline::create(context, package, {.cache = cache}));
   SHALE_TRY(Session session, Session::create(pipeline));
   SHALE_TRY_VOID(session.allocate_memory());
-  if (start) start->create_ms = since_ms(begin);
   SHALE_TRY(vk::Timestamps timestamps,
             vk::Timestamps::create(context, interval_count({&pipeline.graph(), 1})));
   SHALE_TRY(vk::Timestamps whole, vk::Timestamps::create(context, 1));
-  const auto state = std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
-                                                   std::move(timestamps), std::move(whole),
-                                                   "first run, " + compiles});
+  const auto state =
+      std::make_shared<State>(State{context, std::move(pipeline), std::move(session),
+                                    std::move(timestamps), std::move(whole), std::move(compiles)});
 
   constexpr VkBufferUsageFlags kUsage =
       VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT;

@@ -65,6 +65,13 @@ struct StartTimes {
   double first_ms = 0;   ///< first run, in which drivers may go on compiling
 };
 
+/// Has a driver on the CPU compile a package's networks on all cores. lavapipe compiles a shader at its first
+/// dispatch, on the one thread of a device's queue, and keeps the code in a cache on disk; so devices of our
+/// own run the dispatches one by one, side by side, and `device` finds them in that cache. Does nothing
+/// for other drivers, one core, short code, without the driver's cache or if the first dispatch shows that
+/// it has the code. A help, not a result: what fails here fails again where it counts.
+void compile_ahead(const ToolDevice& device, const Package& package);
+
 /// A package's graph with inputs of its own, ready to be run again and again.
 class NetworkRun {
  public:
@@ -91,8 +98,12 @@ class NetworkRun {
   std::vector<Tensor> outputs() const;
 
  private:
+  friend void compile_ahead(const ToolDevice& device, const Package& package);
   struct State;
   explicit NetworkRun(std::shared_ptr<State> state) : state_(std::move(state)) {}
+  /// Without a word on the terminal, except `compiles` for the first run.
+  static Result<NetworkRun> prepare(const vk::Context& context, const Package& package,
+                                    VkPipelineCache cache, std::string compiles);
   std::shared_ptr<State> state_;
 };
 

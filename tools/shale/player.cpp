@@ -198,6 +198,7 @@ Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const P
   const vk::Context& context = device.context();
   const std::string compiles = driver_compiles(package.variants.front());
   Progress progress(compiles);
+  compile_ahead(device, package);
   SHALE_TRY(FrameLoop loop,
             FrameLoop::create(context, package, {.frames_in_flight = 1, .cache = device.cache()}));
   // The device may take another variant than the first.
