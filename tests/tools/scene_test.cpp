@@ -60,7 +60,7 @@ TEST(SceneFormat, RefusesWhatIsWrongNamingFieldAndExpectation) {
        "scene.camera.path[0]: \"eye\"[1] is \"a\", expected a number"},
       {scene_text(R"("objects": [{"shape": "cone", "material": "m"}])"),
        "scene.objects[0]: \"shape\" is \"cone\", expected one of sphere, cylinder, box, quad, "
-       "plane, wire, light"},
+       "plane, wire, light, mesh"},
       {scene_text(R"("objects": [{"shape": "sphere", "radius": 1, "material": "m"}])"),
        "scene.objects[0]: \"material\" is \"m\", which the scene has not"},
       {scene_text(R"("materials": {"m": {}}, "objects": [{"shape": "box", "material": "m",
@@ -113,16 +113,19 @@ TEST(SceneFormat, TheScenesOfTheRepositoryAreFit) {
   for (const char* folder : {"train", "test"}) {
     for (const auto& entry :
          fs::directory_iterator(fs::path(SHALE_SOURCE_DIR) / "models/scenes" / folder)) {
-      const Scene scene = must(load_scene(entry.path().string()));
       const bool is_test = std::string_view(folder) == "test";
       ++(is_test ? test : train);
+      const auto loaded = load_scene(entry.path().string());
+      // Models lie in packages that need not be installed.
+      if (!loaded && error_text(loaded).find("apt-get install") != std::string::npos) continue;
+      const Scene& scene = must(loaded);
       EXPECT_GE(scene.frames, is_test ? 40u : 60u) << scene.name;
-      EXPECT_GT(scene.primitives.size(), 20u) << scene.name;
+      EXPECT_GT(scene.primitives.size() + scene.instances.size(), 20u) << scene.name;
       EXPECT_EQ(std::count(seeds.begin(), seeds.end(), scene.seed), 0) << scene.name;
       seeds.push_back(scene.seed);
     }
   }
-  EXPECT_GE(train, 18u);
+  EXPECT_GE(train, 20u);
   EXPECT_GE(test, 5u);
 }
 

@@ -353,6 +353,35 @@ class Parser {
     return {};
   }
 
+  Result<void> parse_models(const Fields& fields, const std::string& folder) {
+    if (!fields.json().is_object() || fields.json().size() > kMaxModels)
+      return bad_input(fields.where(), "found {}, expected an object of at most {} named models",
+                       fields.json().type_name(), kMaxModels);
+    for (const auto& [name, json] : fields.json().items()) {
+      const Fields own(json, fields.where() + "." + name);
+      SHALE_TRY(SceneModel model, load_model(name, own, folder));
+      models_[name] = static_cast<uint32_t>(scene_.models.size());
+      scene_.models.push_back(std::move(model));
+    }
+    return {};
+  }
+
+  Result<void> parse_instance(const Fields& fields, int parent, uint32_t seed, bool vary) {
+    SHALE_TRY_VOID(fields.only({"shape", "model", "shadow", "at", "rotate", "animate"}));
+    if (scene_.instances.size() >= kMaxInstances)
+      return bad_input(fields.where(), "the scene has more than {} meshes", kMaxInstances);
+    SHALE_TRY(const std::string name, fields.text("model"));
+    const auto known = models_.find(name);
+    if (known == models_.end())
+      return bad_input(fields.where(), "\"model\" is \"{}\", which the scene has not", name);
+    Instance instance;
+    instance.model = known->second;
+    SHALE_TRY(instance.casts_shadow, fields.flag("shadow", true));
+    SHALE_TRY(instance.node, add_node(fields, parent, seed, vary));
+    scene_.instances.push_back(instance);
+    return {};
+  }
+
   Result<void> parse_signals(const Fields& fields) {
     if (!fields.json().is_object() || fields.json().size() > kMaxSignals)
       return bad_input(fields.where(), "found {}, expected an object of at most {} named signals",
@@ -485,8 +514,9 @@ class Parser {
 
   Result<void> parse_shape(const Fields& fields, int parent, uint32_t seed, bool vary) {
     SHALE_TRY(const uint32_t shape, fields.choice("shape", {"sphere", "cylinder", "box", "quad",
-                                                            "plane", "wire", "light"}));
+                                                            "plane", "wire", "light", "mesh"}));
     if (shape == 6) return parse_light(fields, parent, seed, vary);
+    if (shape == 7) return parse_instance(fields, parent, seed, vary);
     Primitive primitive;
     primitive.seed = seed;
     SHALE_TRY(primitive.material, parse_material_name(fields, seed));
@@ -624,6 +654,7 @@ class Parser {
   Scene& scene_;
   std::map<std::string, uint32_t> materials_;
   std::map<std::string, int> signals_;
+  std::map<std::string, uint32_t> models_;
   uint32_t particles_ = 0;
 };
 
@@ -638,13 +669,13 @@ uint32_t scene_hash(uint32_t a, uint32_t b) {
   return h ^ (h >> 15);
 }
 
-Result<Scene> parse_scene(const std::string& text) {
+Result<Scene> parse_scene(const std::string& text, const std::string& folder) {
   const nlohmann::json json = nlohmann::json::parse(text, nullptr, false, true);
   if (json.is_discarded()) return bad_input("", "is not valid JSON");
   const Fields root(json, "scene");
   SHALE_TRY_VOID(root.only({"schema", "frames", "frame_rate", "seed", "exposure", "exposure_signal",
-                            "camera", "sun", "sky", "signals", "lights", "materials", "objects",
-                            "particles", "overlays"}));
+                            "camera", "sun", "sky", "signals", "lights", "models", "materials",
+                            "objects", "particles", "overlays"}));
   SHALE_TRY(const std::string schema, root.text("schema"));
   if (schema != "shale-scene/1")
     return bad_input("scene", "\"schema\" is \"{}\", expected \"shale-scene/1\"", schema);
@@ -671,6 +702,7 @@ Result<Scene> parse_scene(const std::string& text) {
     SHALE_TRY(scene.sky.signal, parser.signal_of(root.child("sky")));
   }
   if (root.has("materials")) SHALE_TRY_VOID(parser.parse_materials(root.child("materials")));
+  if (root.has("models")) SHALE_TRY_VOID(parser.parse_models(root.child("models"), folder));
   SHALE_TRY(const std::vector<Fields> objects, root.list("objects", kMaxEntries));
   SHALE_TRY_VOID(parser.parse_objects(objects, 0, scene.seed, false, 0));
   SHALE_TRY(const std::vector<Fields> emitters, root.list("particles", kMaxParticles));
@@ -685,13 +717,15 @@ Result<Scene> parse_scene(const std::string& text) {
 
 Result<Scene> load_scene(const std::string& path) {
   SHALE_TRY(const std::string text, read_text(path));
-  Result<Scene> scene = parse_scene(text);
+  const std::filesystem::path file(path);
+  Result<Scene> scene =
+      parse_scene(text, file.has_parent_path() ? file.parent_path().string() : ".");
   if (!scene) {
     Error error = scene.error();
     error.where = error.where.empty() ? path : path + ": " + error.where;
     return error;
   }
-  scene->name = std::filesystem::path(path).stem().string();
+  scene->name = file.stem().string();
   return scene;
 }
 

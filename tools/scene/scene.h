@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "ir/base/result.h"
+#include "tools/scene/model.h"
 #include "tools/scene/vector.h"
 
 namespace shale {
@@ -21,6 +22,8 @@ inline constexpr uint32_t kMaxParticles = 4096;
 inline constexpr uint32_t kMaxOverlays = 4;
 inline constexpr uint32_t kMaxLights = 16;
 inline constexpr uint32_t kMaxSignals = 64;
+inline constexpr uint32_t kMaxModels = 64;
+inline constexpr uint32_t kMaxInstances = 2048;
 
 struct SignalKey {
   double frame = 0;
@@ -168,6 +171,13 @@ struct Primitive {
   uint32_t seed = 0;
 };
 
+/// A model in a place.
+struct Instance {
+  int node = 0;
+  uint32_t model = 0;
+  bool casts_shadow = true;
+};
+
 struct Emitter {
   int node = 0;
   uint32_t count = 0;
@@ -208,12 +218,15 @@ struct Scene {
   std::vector<Material> materials;
   std::vector<SceneNode> nodes;
   std::vector<Primitive> primitives;
+  std::vector<SceneModel> models;
+  std::vector<Instance> instances;
   std::vector<Emitter> emitters;
   std::vector<Overlay> overlays;
 };
 
-/// Errors: kBadInput naming the field, what was found and what was expected.
-Result<Scene> parse_scene(const std::string& text);
+/// Files that it names lie relative to `folder`.
+/// Errors: kBadInput naming the field, what was found and what was expected; those of load_model.
+Result<Scene> parse_scene(const std::string& text, const std::string& folder = ".");
 
 /// parse_scene of a file; the scene's name is that of the file without folder and extension.
 /// Errors: kIo, kBadInput.

@@ -31,6 +31,17 @@ struct Corners {
   uint32_t count = 8;
 };
 
+Corners corners_of(const Box& box, const Affine& to_world) {
+  Corners corners;
+  for (uint32_t i = 0; i < corners.count; ++i) {
+    const auto side = [&](size_t axis) -> double {
+      return (i >> axis & 1 ? box.high : box.low)[axis];
+    };
+    corners.at[i] = to_world.point({side(0), side(1), side(2)});
+  }
+  return corners;
+}
+
 Corners corners_of(const Primitive& primitive, const Affine& to_world) {
   Corners corners;
   corners.count = primitive.shape == PrimitiveShape::kQuad ? 4 : 8;
@@ -115,10 +126,16 @@ class Tables {
     add_materials();
     add_particles();
     add_caster_tree();
+    add_instances();
     if (tables_.texels.size() > max_texels)
       return unsupported(scene_.name, "needs {} texels, the device binds {}", tables_.texels.size(),
                          max_texels);
-    see_primitives();
+    for (uint32_t i = 0; i < posed_.size(); ++i) see(posed_[i].corners, i, seen_);
+    for (uint32_t i = 0; i < posed_meshes_.size(); ++i)
+      see(posed_meshes_[i].corners, i, seen_meshes_);
+    for (std::vector<Seen>* all : {&seen_, &seen_meshes_})
+      std::stable_sort(all->begin(), all->end(),
+                       [](const Seen& a, const Seen& b) { return a.nearest < b.nearest; });
     for (int32_t log2 = kSmallestTileLog2; log2 <= kLargestTileLog2; ++log2) {
       // Coarser cells for the shadows as well: both lists share the buffer.
       const double coarser = std::ldexp(1.0, log2 - kSmallestTileLog2);
@@ -241,29 +258,31 @@ class Tables {
 
   bool same_view() const { return poses_.camera == poses_.camera_was; }
 
-  void add_primitives() {
+  /// Six texels: from the world to an object's space, and from there to clip space as it was.
+  void add_rows(const Affine& inverse, Affine before) {
     const CameraPose& was = poses_.camera_was;
+    const auto row = [](const Affine& a, int axis) -> Float4 {
+      const auto pick = [&](const Vec3& v) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; };
+      return {static_cast<float>(pick(a.x)), static_cast<float>(pick(a.y)),
+              static_cast<float>(pick(a.z)), static_cast<float>(pick(a.at))};
+    };
+    for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(inverse, axis));
+    before.at = before.at - was.eye;
+    const Affine to_view{
+        {was.right.x / projection_.tan_x, was.up.x / projection_.tan_y, was.forward.x},
+        {was.right.y / projection_.tan_x, was.up.y / projection_.tan_y, was.forward.y},
+        {was.right.z / projection_.tan_x, was.up.z / projection_.tan_y, was.forward.z},
+        {}};
+    const Affine clip_was = to_view * before;
+    for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(clip_was, axis));
+  }
+
+  void add_primitives() {
     for (size_t i = 0; i < scene_.primitives.size(); ++i) {
       const Primitive& primitive = scene_.primitives[i];
       const Material& material = scene_.materials[primitive.material];
       const Affine inverse = inverse_orthogonal(posed_[i].to_world);
-      const auto row = [](const Affine& a, int axis) -> Float4 {
-        const auto pick = [&](const Vec3& v) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; };
-        return {static_cast<float>(pick(a.x)), static_cast<float>(pick(a.y)),
-                static_cast<float>(pick(a.z)), static_cast<float>(pick(a.at))};
-      };
-      for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(inverse, axis));
-
-      Affine before = unit_to_world(primitive, poses_.nodes_was);
-      before.at = before.at - was.eye;
-      const Affine to_view{
-          {was.right.x / projection_.tan_x, was.up.x / projection_.tan_y, was.forward.x},
-          {was.right.y / projection_.tan_x, was.up.y / projection_.tan_y, was.forward.y},
-          {was.right.z / projection_.tan_x, was.up.z / projection_.tan_y, was.forward.z},
-          {}};
-      const Affine clip_was = to_view * before;
-      for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(clip_was, axis));
-
+      add_rows(inverse, unit_to_world(primitive, poses_.nodes_was));
       const size_t node = static_cast<size_t>(primitive.node);
       const bool still = same_view() && poses_.nodes[node] == poses_.nodes_was[node];
       tables_.texels.push_back(float4(primitive.half, 0));
@@ -340,23 +359,64 @@ class Tables {
       boxes.push_back(box_of(posed_[i].corners));
       indices.push_back(i);
     }
+    add_tree(boxes, [&](uint32_t box) {
+      const Primitive& primitive = scene_.primitives[indices[box]];
+      return entry_bits(indices[box], primitive, scene_.materials[primitive.material]);
+    });
+  }
+
+  /// `entry` tells what stands in the leaf of a box.
+  void add_tree(const std::vector<Box>& boxes, const std::function<uint32_t(uint32_t)>& entry) {
     const Bvh tree = build_bvh(boxes, 1);
     for (const BvhNode& node : tree.nodes) {
       const Box& b = node.box;
       const bool last = node.next == tree.nodes.size();
       tables_.texels.push_back({b.low[0], b.low[1], b.low[2], last ? -1 : number(node.next)});
-      tables_.texels.push_back({b.high[0], b.high[1], b.high[2], -1});
-      if (node.count == 0) continue;
-      const uint32_t index = indices[tree.order[node.first]];
-      const Primitive& primitive = scene_.primitives[index];
-      tables_.texels.back()[3] =
-          number(entry_bits(index, primitive, scene_.materials[primitive.material]));
+      tables_.texels.push_back({b.high[0], b.high[1], b.high[2],
+                                node.count == 0 ? -1 : number(entry(tree.order[node.first]))});
     }
     // An empty tree: a box that nothing meets.
     if (tree.nodes.empty()) {
       tables_.texels.push_back({1, 1, 1, -1});
       tables_.texels.push_back({-1, -1, -1, -1});
     }
+  }
+
+  void add_instances() {
+    FrameBlock& block = tables_.block;
+    block.meshes = {static_cast<int32_t>(tables_.texels.size()), 0, 0, 0};
+    if (scene_.instances.empty()) return;
+    const std::vector<ModelPart> parts = model_parts(scene_.models);
+    uint32_t nodes = 0, triangles = 0;
+    for (const SceneModel& model : scene_.models) {
+      nodes += static_cast<uint32_t>(model.tree.nodes.size());
+      triangles += static_cast<uint32_t>(model.mesh.triangles.size());
+    }
+    block.meshes[2] = static_cast<int32_t>(2 * nodes);
+    block.meshes[3] = static_cast<int32_t>(2 * nodes + 5 * triangles);
+    std::vector<Box> boxes;
+    std::vector<uint32_t> indices;
+    for (uint32_t i = 0; i < scene_.instances.size(); ++i) {
+      const Instance& instance = scene_.instances[i];
+      const auto node = static_cast<size_t>(instance.node);
+      Posed posed;
+      posed.to_world = poses_.nodes[node];
+      posed.to_world.at = posed.to_world.at - poses_.camera.eye;
+      posed.corners = corners_of(scene_.models[instance.model].tree.nodes[0].box, posed.to_world);
+      add_rows(inverse_orthogonal(posed.to_world), poses_.nodes_was[node]);
+      const ModelPart& part = parts[instance.model];
+      const bool still = same_view() && poses_.nodes[node] == poses_.nodes_was[node];
+      tables_.texels.push_back(
+          {number(part.node), number(part.triangle), number(part.material), still ? 1.0f : 0.0f});
+      tables_.texels.push_back({static_cast<float>(std::log2(length(posed.to_world.x))), 0, 0, 0});
+      if (instance.casts_shadow) {
+        boxes.push_back(box_of(posed.corners));
+        indices.push_back(i);
+      }
+      posed_meshes_.push_back(posed);
+    }
+    block.meshes[1] = static_cast<int32_t>(tables_.texels.size());
+    add_tree(boxes, [&](uint32_t box) { return indices[box]; });
   }
 
   /// Slightly larger, since the device computes in float.
@@ -374,35 +434,30 @@ class Tables {
     return box;
   }
 
-  void see_primitives() {
-    const double near = scene_.camera.near_plane;
-    for (uint32_t i = 0; i < scene_.primitives.size(); ++i) {
-      std::array<Vec3, 8> v;
-      const Corners& corners = posed_[i].corners;
-      for (uint32_t k = 0; k < corners.count; ++k) v[k] = view(corners.at[k]);
-      Seen seen{i, std::numeric_limits<double>::infinity(), {}};
-      const auto take = [&](const Vec3& at) {
-        seen.nearest = std::min(seen.nearest, at.z);
-        seen.outline.push_back(pixel(at));
-      };
-      // Slightly before the near plane: the shader cuts exactly there.
-      const double cut = near * 0.999;
-      for (uint32_t k = 0; k < corners.count; ++k) {
-        if (v[k].z >= cut) take(v[k]);
-        for (uint32_t bit = 1; bit < corners.count; bit <<= 1) {
-          if (k & bit) continue;
-          const Vec3 &a = v[k], &b = v[k | bit];
-          if ((a.z < cut) == (b.z < cut)) continue;
-          Vec3 at = mix(a, b, (cut - a.z) / (b.z - a.z));
-          at.z = cut;
-          take(at);
-        }
+  /// Adds what the picture can show of something within the corners.
+  void see(const Corners& corners, uint32_t index, std::vector<Seen>& all) const {
+    std::array<Vec3, 8> v;
+    for (uint32_t k = 0; k < corners.count; ++k) v[k] = view(corners.at[k]);
+    Seen seen{index, std::numeric_limits<double>::infinity(), {}};
+    const auto take = [&](const Vec3& at) {
+      seen.nearest = std::min(seen.nearest, at.z);
+      seen.outline.push_back(pixel(at));
+    };
+    // Slightly before the near plane: the shader cuts exactly there.
+    const double cut = scene_.camera.near_plane * 0.999;
+    for (uint32_t k = 0; k < corners.count; ++k) {
+      if (v[k].z >= cut) take(v[k]);
+      for (uint32_t bit = 1; bit < corners.count; bit <<= 1) {
+        if (k & bit) continue;
+        const Vec3 &a = v[k], &b = v[k | bit];
+        if ((a.z < cut) == (b.z < cut)) continue;
+        Vec3 at = mix(a, b, (cut - a.z) / (b.z - a.z));
+        at.z = cut;
+        take(at);
       }
-      if (seen.outline.empty() || seen.nearest > farthest()) continue;
-      seen_.push_back(std::move(seen));
     }
-    std::stable_sort(seen_.begin(), seen_.end(),
-                     [](const Seen& a, const Seen& b) { return a.nearest < b.nearest; });
+    if (seen.outline.empty() || seen.nearest > farthest()) return;
+    all.push_back(std::move(seen));
   }
 
   void add_tiles(int32_t log2) {
@@ -411,21 +466,25 @@ class Tables {
       return static_cast<int32_t>((pixels + (1u << log2) - 1) >> log2);
     };
     const int32_t columns = count(window_.size.width), rows = count(window_.size.height);
-    CellLists primitives(columns, rows, most_entries_), particles(columns, rows, most_entries_);
+    CellLists primitives(columns, rows, most_entries_), particles(columns, rows, most_entries_),
+        meshes(columns, rows, most_entries_);
     std::vector<Point2> cells;
-    for (const Seen& seen : seen_) {
-      const Primitive& primitive = scene_.primitives[seen.index];
-      const Material& material = scene_.materials[primitive.material];
+    const auto cover = [&](const Seen& seen, uint32_t bits, CellLists& lists) {
       cells.clear();
       for (const Point2& p : seen.outline)
         cells.push_back({(p.x - window_.x) / side, (p.y - window_.y) / side});
       // A little nearer, since the device computes the distance in float.
       const Uint2 entry{
-          entry_bits(seen.index, primitive, material),
-          std::bit_cast<uint32_t>(static_cast<float>(seen.nearest * (1 - 1e-5) - 1e-5))};
+          bits, std::bit_cast<uint32_t>(static_cast<float>(seen.nearest * (1 - 1e-5) - 1e-5))};
       cover_cells(cells, kPixelMargin / side, columns, rows,
-                  [&](int32_t x, int32_t y) { primitives.add(x, y, entry); });
+                  [&](int32_t x, int32_t y) { lists.add(x, y, entry); });
+    };
+    for (const Seen& seen : seen_) {
+      const Primitive& primitive = scene_.primitives[seen.index];
+      cover(seen, entry_bits(seen.index, primitive, scene_.materials[primitive.material]),
+            primitives);
     }
+    for (const Seen& seen : seen_meshes_) cover(seen, seen.index, meshes);
     for (const SeenParticle& p : particles_) {
       const double x = (p.x - window_.x) / side, y = (p.y - window_.y) / side;
       const double r = (p.radius + kPixelMargin) / side;
@@ -438,15 +497,16 @@ class Tables {
     std::vector<Uint2>& out = tables_.lists;
     const size_t base = out.size();
     tables_.block.tiles = {columns, rows, static_cast<int32_t>(base), log2};
-    // For a tile: first and number of the primitives, and of the particles.
-    out.resize(base + 2 * primitives.cells());
-    size_t part = 0;
-    for (const CellLists* lists : {&primitives, &particles}) {
+    // For a tile: first and number of the primitives, of the particles, and of the meshes if the scene
+    // has some.
+    std::vector<const CellLists*> parts{&primitives, &particles};
+    if (!scene_.instances.empty()) parts.push_back(&meshes);
+    out.resize(base + parts.size() * primitives.cells());
+    for (size_t part = 0; part < parts.size(); ++part) {
       std::vector<uint32_t> first;
-      lists->append_to(out, first);
+      parts[part]->append_to(out, first);
       for (size_t i = 0; i < first.size(); ++i)
-        out[base + 2 * i + part] = {first[i], lists->count(i)};
-      ++part;
+        out[base + parts.size() * i + part] = {first[i], parts[part]->count(i)};
     }
   }
 
@@ -519,8 +579,8 @@ class Tables {
   const Projection projection_;
   FrameTables tables_{};
   size_t most_entries_ = 0;
-  std::vector<Posed> posed_;
-  std::vector<Seen> seen_;
+  std::vector<Posed> posed_, posed_meshes_;
+  std::vector<Seen> seen_, seen_meshes_;
   std::vector<SeenParticle> particles_;
 };
 

@@ -52,8 +52,9 @@ struct FrameBlock {
       [4 *
        kMaxOverlays];  ///< rectangle in uv; colour, rows; background, opacity; scroll, aspect, seed
   Int4 grid;           ///< columns, rows, first texel of the table
-  Int4 tiles;  ///< columns, rows, first texel of the table, log2 of the side in output pixels
-  Int4 bases;  ///< first texel of materials, particles and tree; 1 if the view stands still
+  Int4 tiles;   ///< columns, rows, first texel of the table, log2 of the side in output pixels
+  Int4 meshes;  ///< first texel of instances and of their tree; first triangle, first material
+  Int4 bases;   ///< first texel of materials, particles and tree; 1 if the view stands still
 };
 
 static_assert(sizeof(FrameBlock) % sizeof(Float4) == 0);
@@ -64,9 +65,10 @@ struct FrameTables {
   std::vector<Uint2> lists;
 };
 
-/// Texels of a primitive and of a material, as the shader has them.
+/// Texels of a primitive, of a material and of an instance, as the shader has them.
 inline constexpr uint32_t kPrimitiveTexels = 9;
 inline constexpr uint32_t kMaterialTexels = 6;
+inline constexpr uint32_t kInstanceTexels = 8;
 
 /// A frame and the one it came from.
 struct FramePoses {
