@@ -20,8 +20,17 @@ layout(constant_id = 1) const uint kCutouts = 0xFFFFFFFFu;
 layout(constant_id = 2) const bool kHasRoundCutouts = true;
 layout(constant_id = 3) const bool kHasParticles = true;
 layout(constant_id = 4) const int kOverlays = 4;
-layout(constant_id = 5) const bool kHasLights = true;
+layout(constant_id = 5) const uint kLights = 16u;
 layout(constant_id = 6) const bool kHasClouds = true;
+// One bit for each light: casts shadows, is a rectangle, is a cone.
+layout(constant_id = 7) const uint kShadows = 0xFFFFu;
+layout(constant_id = 8) const uint kAreas = 0xFFFFu;
+layout(constant_id = 9) const uint kCones = 0xFFFFu;
+layout(constant_id = 10) const bool kHasSignals = true;
+layout(constant_id = 11) const bool kHasChanges = true;
+layout(constant_id = 12) const bool kHasHarmonics = true;
+layout(constant_id = 13) const bool kHasMeshes = true;
+layout(constant_id = 14) const bool kHasMeshCutouts = true;
 
 // The numbers of tools/scene/scene.h.
 const uint kChecker = 1u, kStripes = 2u, kLines = 3u, kBricks = 4u, kDots = 5u, kNoise = 6u,
@@ -30,10 +39,11 @@ const uint kLeaves = 1u, kGrass = 2u, kMesh = 3u, kPickets = 4u, kDisc = 5u, kCu
 bool has_pattern(uint kind) { return (kPatterns >> kind & 1u) != 0u; }
 bool has_cutout(uint kind) { return (kCutouts >> kind & 1u) != 0u; }
 
-const int kMaxLights = 4;
+const int kMaxLights = 16;
 const int kMaxOverlays = 4;
 const int kPrimitiveTexels = 9;
-const int kMaterialTexels = 5;
+const int kMaterialTexels = 6;
+const int kInstanceTexels = 8;
 
 layout(std140, binding = 0) uniform Frame {
   vec4 corner, step_x, step_y;
@@ -44,16 +54,22 @@ layout(std140, binding = 0) uniform Frame {
   vec4 sun, sun_color;
   vec4 zenith, horizon, ground, ambient;
   vec4 grid_u, grid_v;
-  vec4 lights[2 * kMaxLights];
+  vec4 lights[5 * kMaxLights];
+  vec4 harmonics[9];
   vec4 overlays[4 * kMaxOverlays];
   ivec4 grid;
   ivec4 tiles;
+  ivec4 meshes;
   ivec4 bases;
 } frame;
 layout(binding = 1) uniform samplerBuffer texels;
 layout(binding = 2) uniform usamplerBuffer lists;
 /// r g b, depth, motion x y of a pixel; rows of a band.
 layout(std430, binding = 3) writeonly buffer Out { float values[]; } result;
+
+/// Nodes (2 each), triangles (5), materials (2) of all models: tools/scene/model.h.
+layout(std430, binding = 4) readonly buffer Geometry { uvec4 words[]; } geometry;
+layout(std430, binding = 5) readonly buffer Pictures { uint texels[]; } pictures;
 
 layout(push_constant) uniform Push {
   vec2 jitter;    // pixels of this grid
@@ -208,17 +224,24 @@ bool is_cut_out(uint entry, vec3 p) {
 }
 
 const uint kNone = 0xFFFFFFFFu;
+const uint kOnMesh = 0xFFFFFFFEu;  // a place on no primitive
 bool may_be_cut_out(uint entry) { return kCutouts > 1u && (entry >> 18 & 7u) != 0u; }
 
 // Both searches below walk a list, and stop at a cut-out primitive that the ray meets to look at its
 // pattern: CPU drivers run all of a loop's body for every entry, and most entries are not met. Cut-out
 // primitives are hollow: where the near side has a hole, the far side may be met.
 
-/// Nearest primitive on the ray from the eye; kNone is the sky.
-uint nearest(vec2 position, vec3 d, out float t) {
+/// First and number of what a tile shows: primitives, particles, meshes.
+uvec2 tile_list(vec2 position, int part) {
   ivec2 tile = ivec2(position - frame.window.xy) >> frame.tiles.w;
   tile = clamp(tile, ivec2(0), frame.tiles.xy - 1);
-  uvec2 list = texelFetch(lists, frame.tiles.z + 2 * (tile.y * frame.tiles.x + tile.x)).xy;
+  int parts = kHasMeshes ? 3 : 2;
+  return texelFetch(lists, frame.tiles.z + parts * (tile.y * frame.tiles.x + tile.x) + part).xy;
+}
+
+/// Nearest primitive on the ray from the eye; kNone is the sky.
+uint nearest(vec2 position, vec3 d, out float t) {
+  uvec2 list = tile_list(position, 0);
   float near = frame.depth.x;
   t = frame.depth.y;
   uint found = kNone;
@@ -305,6 +328,256 @@ float sunlight(vec3 p, uint own) {
   return light;
 }
 
+/// 0 if something stands between `p` and `p + way`. `own` is the primitive that p lies on; without
+/// one there is nothing to be lit.
+float lamplight(vec3 p, vec3 way, uint own) {
+  vec3 slope = 1.0 / mix(way, vec3(1e-20), lessThan(abs(way), vec3(1e-20)));
+  int node = own == kNone ? -1 : 0;
+  float light = 1.0;
+  do {
+    uint leaf = kNone;
+    while (node >= 0 && leaf == kNone) {
+      vec4 low = texelFetch(texels, frame.bases.z + 2 * node);
+      vec4 high = texelFetch(texels, frame.bases.z + 2 * node + 1);
+      vec3 a = (low.xyz - p) * slope, b = (high.xyz - p) * slope;
+      vec3 enter = min(a, b), leave = max(a, b);
+      bool met = max(max(enter.x, enter.y), max(enter.z, 0.0)) <=
+                 min(min(leave.x, leave.y), min(leave.z, 1.0));
+      bool is_leaf = high.w >= 0.0;
+      if (met && is_leaf) leaf = uint(high.w);
+      node = met && !is_leaf ? node + 1 : int(low.w);
+    }
+    if (leaf == kNone) break;
+    Space s = space_of(int(leaf & 0xFFFFu));
+    vec3 ray = vec3(dot(s.x.xyz, way), dot(s.y.xyz, way), dot(s.z.xyz, way));
+    vec3 o = vec3(dot(s.x.xyz, p) + s.x.w, dot(s.y.xyz, p) + s.y.w, dot(s.z.xyz, p) + s.z.w);
+    vec2 span = crossed(leaf >> 16 & 3u, o, ray);
+    bool met = span.x <= span.y;
+    bool near_side = met && span.x > 0.0 && span.x < 1.0;
+    bool far_side = met && span.y > 0.0 && span.y < 1.0;
+    bool blocked = (near_side || far_side) && leaf != own;
+    if (may_be_cut_out(leaf))
+      blocked = (near_side && !is_cut_out(leaf, o + span.x * ray)) ||
+                (far_side && !is_cut_out(leaf, o + span.y * ray));
+    if (blocked) {
+      light = 0.0;
+      node = -1;
+    }
+  } while (true);
+  return light;
+}
+
+/// The part of what a surface at the origin reflects that comes from a rectangle of unit radiance.
+/// Source: Lambert's formula for polygons; what is below the horizon is subtracted.
+float seen_rectangle(vec3 middle, vec3 u, vec3 v, vec3 normal) {
+  vec3 corners[4] = vec3[](normalize(middle - u - v), normalize(middle + u - v),
+                           normalize(middle + u + v), normalize(middle - u + v));
+  float sum = 0.0;
+  for (int i = 0; i < 4; ++i) {
+    vec3 a = corners[i], b = corners[(i + 1) & 3];
+    vec3 across = cross(a, b);
+    float sine = length(across);
+    sum += atan(sine, dot(a, b)) / max(sine, 1e-9) * dot(across, normal);
+  }
+  return max(-sum, 0.0) * (1.0 / 6.28318531);
+}
+
+/// Where a ray enters a node's box, and kFar if it does not before `end`.
+float entered(uvec4 low, uvec4 high, vec3 o, vec3 slope, float end) {
+  vec3 a = (uintBitsToFloat(low.xyz) - o) * slope, b = (uintBitsToFloat(high.xyz) - o) * slope;
+  vec3 enter = min(a, b), leave = max(a, b);
+  float first = max(max(enter.x, enter.y), max(enter.z, 0.0));
+  // The device's rounding may make a flat box empty.
+  return first <= min(min(leave.x, leave.y), min(leave.z, end)) * 1.0000004 ? first : kFar;
+}
+
+/// t and the two barycentrics of a triangle's plane; t is kFar outside of it.
+/// Source: Moeller and Trumbore 1997.
+vec3 triangle_hit(int at, vec3 o, vec3 d) {
+  vec3 e1 = uintBitsToFloat(geometry.words[at + 1].xyz), e2 = uintBitsToFloat(geometry.words[at + 2].xyz);
+  vec3 from = o - uintBitsToFloat(geometry.words[at].xyz);
+  vec3 p = cross(d, e2);
+  float scale = dot(e1, p);
+  float inverse = 1.0 / (scale == 0.0 ? 1e-30 : scale);
+  vec3 q = cross(from, e1);
+  vec3 hit = vec3(dot(e2, q), dot(from, p), dot(d, q)) * inverse;
+  if (scale == 0.0 || hit.y < 0.0 || hit.z < 0.0 || hit.y + hit.z > 1.0) hit.x = kFar;
+  return hit;
+}
+
+vec4 texel(int level_at, ivec2 size, ivec2 p) {
+  p += mix(ivec2(0), size, lessThan(p, ivec2(0)));
+  p -= mix(ivec2(0), size, greaterThanEqual(p, size));
+  vec4 root = unpackUnorm4x8(pictures.texels[level_at + p.y * size.x + p.x]);
+  return vec4(root.rgb * root.rgb, root.a);
+}
+
+/// A level of a repeated texture, bilinear.
+vec4 bilinear(uvec4 material, vec2 uv, int level) {
+  ivec2 size = max(ivec2(material.y & 0xFFFFu, material.y >> 16) >> level, ivec2(1));
+  int at = int(pictures.texels[material.x + uint(level)]);
+  vec2 p = fract(uv) * vec2(size) - 0.5;
+  vec2 cell = floor(p), f = p - cell;
+  ivec2 c = ivec2(cell);
+  return mix(mix(texel(at, size, c), texel(at, size, c + ivec2(1, 0)), f.x),
+             mix(texel(at, size, c + ivec2(0, 1)), texel(at, size, c + ivec2(1, 1)), f.x), f.y);
+}
+
+/// Trilinear; `level` is that of the texture's largest side as 2^level texels to an output pixel.
+vec4 textured(uvec4 material, vec2 uv, float level) {
+  float last = float(int(material.z) - 1);
+  level = clamp(level, 0.0, last);
+  int sharp = int(level);
+  vec4 near = bilinear(material, uv, sharp);
+  return mix(near, bilinear(material, uv, min(sharp + 1, int(last))), level - float(sharp));
+}
+
+vec2 mesh_uv(int at, vec2 bary) {
+  uvec4 a = geometry.words[at + 3];
+  vec2 last = uintBitsToFloat(geometry.words[at + 4].xy);
+  vec2 first = uintBitsToFloat(a.xy);
+  return first + bary.x * (uintBitsToFloat(a.zw) - first) + bary.y * (last - first);
+}
+
+/// True where a texture's alpha leaves a hole.
+bool mesh_hole(int at, int first_material, vec2 bary) {
+  uvec4 last = geometry.words[at + 4];
+  bool hole = false;
+  if ((last.z >> 31) != 0u) {
+    uvec4 m = geometry.words[frame.meshes.w + 2 * (first_material + int(last.z & 0x7FFFFFFFu)) + 1];
+    ivec2 size = ivec2(m.y & 0xFFFFu, m.y >> 16);
+    ivec2 p = clamp(ivec2(fract(mesh_uv(at, bary)) * vec2(size)), ivec2(0), size - 1);
+    hole = (pictures.texels[pictures.texels[m.x] + uint(p.y * size.x + p.x)] >> 24) < 128u;
+  }
+  return hole;
+}
+
+// Inner nodes are met as pairs of children, the nearer first; what is put off stands on a stack. A
+// number below -1 is a leaf: first triangle and count. The loops are separate so that CPU drivers do
+// not run the one's body for every step of the other.
+const int kDone = -1;
+int step_of(int node, uint leaf) { return leaf == 0u ? node : -2 - int(leaf); }
+
+/// Nearest mesh on the ray from the eye before `t`, which is then the place; -1 if there is none.
+int nearest_mesh(vec2 position, vec3 d, inout float t, out int triangle, out vec2 bary) {
+  uvec2 list = tile_list(position, 2);
+  float near = frame.depth.x;
+  int found = -1;
+  triangle = 0;
+  bary = vec2(0.0);
+  uint i = 0u;
+  int stack[64];
+  while (i < list.y) {
+    uvec2 entry = texelFetch(lists, int(list.x + i)).xy;
+    ++i;
+    if (uintBitsToFloat(entry.y) > t) break;
+    int at = frame.meshes.x + int(entry.x) * kInstanceTexels;
+    Space s = Space(texelFetch(texels, at), texelFetch(texels, at + 1), texelFetch(texels, at + 2));
+    ivec3 first = ivec3(texelFetch(texels, at + 6).xyz);
+    vec3 ray = vec3(dot(s.x.xyz, d), dot(s.y.xyz, d), dot(s.z.xyz, d));
+    vec3 o = vec3(s.x.w, s.y.w, s.z.w);
+    vec3 slope = 1.0 / mix(ray, vec3(1e-20), lessThan(abs(ray), vec3(1e-20)));
+    int top = 0;
+    int node = step_of(0, geometry.words[2 * first.x + 1].w);
+    while (node != kDone) {
+      while (node >= 0) {
+        int a = node + 1;
+        uvec4 low_a = geometry.words[2 * (first.x + a)], high_a = geometry.words[2 * (first.x + a) + 1];
+        int b = int(low_a.w);
+        uvec4 low_b = geometry.words[2 * (first.x + b)], high_b = geometry.words[2 * (first.x + b) + 1];
+        float t_a = entered(low_a, high_a, o, slope, t), t_b = entered(low_b, high_b, o, slope, t);
+        int go_a = step_of(a, high_a.w), go_b = step_of(b, high_b.w);
+        bool a_first = t_a <= t_b;
+        node = a_first ? go_a : go_b;
+        if (max(t_a, t_b) < kFar) {
+          stack[top] = a_first ? go_b : go_a;
+          ++top;
+        } else if (min(t_a, t_b) >= kFar) {
+          top = max(top, 0) - 1;
+          node = top >= 0 ? stack[max(top, 0)] : kDone;
+        }
+      }
+      if (node == kDone) break;
+      int leaf = -2 - node;
+      int tri = frame.meshes.z + 5 * (first.y + (leaf & 0xFFFFFF));
+      int end = tri + 5 * (leaf >> 24);
+      while (tri < end) {
+        vec3 hit = triangle_hit(tri, o, ray);
+        bool met = hit.x > near && hit.x < t;
+        if (kHasMeshCutouts && met) met = !mesh_hole(tri, first.z, hit.yz);
+        if (met) {
+          t = hit.x;
+          bary = hit.yz;
+          triangle = tri;
+          found = int(entry.x);
+        }
+        tri += 5;
+      }
+      top -= 1;
+      node = top >= 0 ? stack[max(top, 0)] : kDone;
+    }
+  }
+  return found;
+}
+
+/// 0 if a mesh stands between `p` and `p + end * way`; 1 where there is nothing to be lit.
+float mesh_light(vec3 p, vec3 way, float end, bool lit) {
+  vec3 slope = 1.0 / mix(way, vec3(1e-20), lessThan(abs(way), vec3(1e-20)));
+  int node = lit ? 0 : -1;
+  float light = 1.0;
+  do {
+    int instance = -1;
+    while (node >= 0 && instance < 0) {
+      vec4 low = texelFetch(texels, frame.meshes.y + 2 * node);
+      vec4 high = texelFetch(texels, frame.meshes.y + 2 * node + 1);
+      bool met = entered(floatBitsToUint(low), floatBitsToUint(high), p, slope, end) < kFar;
+      bool is_leaf = high.w >= 0.0;
+      if (met && is_leaf) instance = int(high.w);
+      node = met && !is_leaf ? node + 1 : int(low.w);
+    }
+    if (instance < 0) break;
+    int at = frame.meshes.x + instance * kInstanceTexels;
+    Space s = Space(texelFetch(texels, at), texelFetch(texels, at + 1), texelFetch(texels, at + 2));
+    ivec3 first = ivec3(texelFetch(texels, at + 6).xyz);
+    vec3 ray = vec3(dot(s.x.xyz, way), dot(s.y.xyz, way), dot(s.z.xyz, way));
+    vec3 o = vec3(dot(s.x.xyz, p) + s.x.w, dot(s.y.xyz, p) + s.y.w, dot(s.z.xyz, p) + s.z.w);
+    vec3 flat_slope = 1.0 / mix(ray, vec3(1e-20), lessThan(abs(ray), vec3(1e-20)));
+    int inner = 0;
+    int count = int(geometry.words[2 * first.x].w);
+    while (inner < count) {
+      uint leaf = 0u;
+      while (inner < count && leaf == 0u) {
+        uvec4 low = geometry.words[2 * (first.x + inner)], high = geometry.words[2 * (first.x + inner) + 1];
+        bool met = entered(low, high, o, flat_slope, end) < kFar;
+        if (met) leaf = high.w;
+        inner = met ? inner + 1 : int(low.w);
+      }
+      int tri = frame.meshes.z + 5 * (first.y + int(leaf & 0xFFFFFFu));
+      int last = tri + 5 * int(leaf >> 24);
+      while (tri < last) {
+        vec3 hit = triangle_hit(tri, o, ray);
+        bool met = hit.x > 0.0 && hit.x < end;
+        if (kHasMeshCutouts && met) met = !mesh_hole(tri, first.z, hit.yz);
+        tri += 5;
+        if (met) {
+          light = 0.0;
+          tri = last;
+          inner = count;
+          node = -1;
+        }
+      }
+    }
+  } while (true);
+  return light;
+}
+
+vec3 unpacked_normal(uint packed) {
+  vec2 f = unpackSnorm2x16(packed);
+  vec3 n = vec3(f, 1.0 - abs(f.x) - abs(f.y));
+  if (n.z < 0.0) n.xy = (1.0 - abs(n.yx)) * mix(vec2(1.0), vec2(-1.0), lessThan(n.xy, vec2(0.0)));
+  return normalize(n);
+}
+
 struct Surface {
   vec3 color, emission;
   float specular, shininess;
@@ -312,7 +585,7 @@ struct Surface {
 
 /// Colour of a material at `uv` metres; `noise` is fractal noise there, 0 to 1.
 Surface patterned(vec4 a, vec4 b, vec4 cells, vec4 more, float shininess, vec2 uv, float noise,
-                  vec3 tint, uint seed, vec3 unit) {
+                  vec3 tint, vec3 glow, uint seed, vec3 unit) {
   uint kind = uint(cells.w);
   vec2 q = uv * cells.xy;
   float row = floor(q.y);
@@ -347,7 +620,7 @@ Surface patterned(vec4 a, vec4 b, vec4 cells, vec4 more, float shininess, vec2 u
     s.color = a.rgb * 0.08;
     s.specular = max(more.w, 0.6);
   }
-  s.emission = s.color * mix(a.w, b.w, mask);
+  s.emission = s.color * mix(a.w, b.w, mask) * glow;
   s.color *= tint;
   return s;
 }
@@ -380,8 +653,15 @@ Sample look(vec2 position) {
   vec3 d = frame.corner.xyz + frame.step_x.xyz * position.x + frame.step_y.xyz * position.y;
   float t;
   uint entry = nearest(position, d, t);
+  int mesh = -1, triangle = 0;
+  vec2 bary = vec2(0.0);
+  if (kHasMeshes) {
+    mesh = nearest_mesh(position, d, t, triangle, bary);
+    if (mesh >= 0) entry = kNone;
+  }
   bool sky = entry == kNone;
-  int primitive = sky ? 0 : int(entry & 0xFFFFu);
+  if (kHasMeshes) sky = sky && mesh < 0;
+  int primitive = entry == kNone ? 0 : int(entry & 0xFFFFu);
   uint shape = entry >> 16 & 3u;
   int at = primitive * kPrimitiveTexels;
   Space s = space_of(primitive);
@@ -402,9 +682,31 @@ Sample look(vec2 position) {
     was = vec3(dot(texelFetch(texels, at + 3), u), dot(texelFetch(texels, at + 4), u),
                dot(texelFetch(texels, at + 5), u));
   }
+  vec3 mesh_normal = vec3(0.0);
+  int own_mesh = frame.meshes.x + max(mesh, 0) * kInstanceTexels;
+  bool mesh_still = false;
+  if (kHasMeshes && mesh >= 0) {
+    uvec4 v0 = geometry.words[triangle], v1 = geometry.words[triangle + 1], v2 = geometry.words[triangle + 2];
+    vec3 e1 = uintBitsToFloat(v1.xyz), e2 = uintBitsToFloat(v2.xyz);
+    vec4 u = vec4(uintBitsToFloat(v0.xyz) + bary.x * e1 + bary.y * e2, 1.0);
+    was = vec3(dot(texelFetch(texels, own_mesh + 3), u), dot(texelFetch(texels, own_mesh + 4), u),
+               dot(texelFetch(texels, own_mesh + 5), u));
+    vec3 plane = cross(e1, e2);
+    vec3 n = (1.0 - bary.x - bary.y) * unpacked_normal(v0.w) + bary.x * unpacked_normal(v1.w) +
+             bary.y * unpacked_normal(v2.w);
+    vec4 x = texelFetch(texels, own_mesh), y = texelFetch(texels, own_mesh + 1),
+         z = texelFetch(texels, own_mesh + 2);
+    plane = plane.x * x.xyz + plane.y * y.xyz + plane.z * z.xyz;
+    mesh_normal = normalize(n.x * x.xyz + n.y * y.xyz + n.z * z.xyz);
+    // Seen from either side; a bent normal stays on the side of its plane.
+    if (dot(plane, d) > 0.0) plane = -plane;
+    if (dot(mesh_normal, plane) < 0.0) mesh_normal = -mesh_normal;
+    mesh_still = texelFetch(texels, own_mesh + 6).w > 0.5;
+  }
   vec2 uv_was = vec2(0.5, -0.5) * was.xy / max(was.z, 1e-6) + 0.5;
   vec2 motion = clamp(position * frame.size.zw - uv_was, vec2(-2.0), vec2(2.0));
   bool still = mix((material & 0x100u) != 0u, frame.bases.w != 0, sky);
+  if (kHasMeshes && mesh >= 0) still = mesh_still;
   if (still) motion = vec2(0.0);
 
   // Surface.
@@ -419,39 +721,117 @@ Sample look(vec2 position) {
   if (shape == kQuad) face = vec3(0.0, 0.0, 1.0);
   normal = normalize(face.x * s.x.xyz + face.y * s.y.xyz + face.z * s.z.xyz);
   if (dot(normal, d) > 0.0) normal = -normal;
+  if (kHasMeshes && mesh >= 0) normal = mesh_normal;
   int m = frame.bases.x + int(material & 0xFFu) * kMaterialTexels;
   vec4 more = texelFetch(texels, m + 3);
   vec2 uv = surface(shape, unit, half_material.xyz);
+  vec4 shine_change = texelFetch(texels, m + 4);
+  if (kHasChanges) {
+    uv -= shine_change.yz;
+    seed ^= uint(shine_change.w);
+  }
+  vec3 glow = vec3(1.0);
+  if (kHasSignals) glow = texelFetch(texels, m + 5).rgb;
   vec3 direction = normalize(d);
   vec2 noise_at = sky ? direction.xz / (0.12 + abs(direction.y)) * 1.7 : uv * more.z;
   float noise = fractal_noise(noise_at, sky ? 5u : seed);
   Surface surface = patterned(texelFetch(texels, m), texelFetch(texels, m + 1),
-                              texelFetch(texels, m + 2), more, texelFetch(texels, m + 4).x, uv,
-                              noise, tint_seed.rgb, seed, unit);
+                              texelFetch(texels, m + 2), more, shine_change.x, uv,
+                              noise, tint_seed.rgb, glow, seed, unit);
+
+  vec3 mesh_emission = vec3(0.0);
+  if (kHasMeshes && mesh >= 0) {
+    uvec4 last = geometry.words[triangle + 4];
+    int at_material = frame.meshes.w + 2 * (int(texelFetch(texels, own_mesh + 6).z) + int(last.z & 0x7FFFFFFFu));
+    vec4 plain = uintBitsToFloat(geometry.words[at_material]);
+    uvec4 picture = geometry.words[at_material + 1];
+    surface.color = plain.rgb;
+    if (picture.z > 0u) {
+      // Texels to an output pixel, by the area of what it covers. Both pictures of a frame have this
+      // level, which is log2 of the ratio below that of a rendered pixel.
+      float slant = max(abs(dot(normal, d)), 1.0 / 64.0);
+      ivec2 wide = ivec2(picture.y & 0xFFFFu, picture.y >> 16);
+      float level = log2(reach * length(frame.step_y.xyz)) + uintBitsToFloat(last.w) -
+                    texelFetch(texels, own_mesh + 7).x + 0.5 * log2(float(wide.x * wide.y)) -
+                    0.5 * log2(slant);
+      surface.color *= textured(picture, mesh_uv(triangle, bary), level).rgb;
+    }
+    mesh_emission = surface.color * plain.w;
+    surface.specular = float(picture.w >> 16) * (1.0 / 8000.0);
+    surface.shininess = float(picture.w & 0xFFFFu);
+  }
 
   // Light.
   float bias = 1e-4 + 2e-4 * reach;
   float facing = max(dot(normal, frame.sun.xyz), 0.0);
-  uint own = sky || facing <= 0.0 ? kNone : entry;
-  vec3 sun = frame.sun_color.rgb * (facing * sunlight(p + normal * bias, own));
+  uint place = entry;
+  if (kHasMeshes && mesh >= 0) place = kOnMesh;
+  uint own = sky || facing <= 0.0 ? kNone : place;
+  float in_sun = facing * sunlight(p + normal * bias, own);
+  if (kHasMeshes) in_sun *= mesh_light(p + normal * bias, frame.sun.xyz, kFar, own != kNone && in_sun > 0.0);
+  vec3 sun = frame.sun_color.rgb * in_sun;
   vec3 halfway = normalize(frame.sun.xyz - direction);
   float shine = pow(max(dot(normal, halfway), 0.0), surface.shininess) * surface.specular;
-  vec3 light = sun + frame.ambient.rgb * (0.75 + 0.25 * normal.y);
+  vec3 ambient = frame.ambient.rgb * (0.75 + 0.25 * normal.y);
+  if (kHasHarmonics) {
+    vec3 n = normal;
+    ambient = frame.harmonics[0].rgb + frame.harmonics[1].rgb * n.y + frame.harmonics[2].rgb * n.z +
+              frame.harmonics[3].rgb * n.x + frame.harmonics[4].rgb * (n.x * n.y) +
+              frame.harmonics[5].rgb * (n.y * n.z) +
+              frame.harmonics[6].rgb * (3.0 * n.z * n.z - 1.0) +
+              frame.harmonics[7].rgb * (n.x * n.z) +
+              frame.harmonics[8].rgb * (n.x * n.x - n.y * n.y);
+    ambient = max(ambient, vec3(0.0));
+  }
+  vec3 light = sun + ambient;
   vec3 color = surface.color * light + sun * shine + surface.emission;
+  // Apart: a choice of emissions would have old scenes' last bits depend on it.
+  if (kHasMeshes && mesh >= 0) color = surface.color * light + sun * shine + mesh_emission;
   // A hint of the sky on what is polished.
   vec3 mirrored = reflect(direction, normal);
   float grazing = 1.0 - max(-dot(direction, normal), 0.0);
   color += mix(frame.horizon.rgb, frame.zenith.rgb, clamp(mirrored.y, 0.0, 1.0)) *
            (min(surface.specular, 1.0) * (0.08 + 0.6 * grazing * grazing * grazing));
-  if (kHasLights) {
-    for (int i = 0; i < kMaxLights; ++i) {
-      vec3 to = frame.lights[2 * i].xyz - p;
+  if (kLights > 0u) {
+    for (int i = 0; i < int(kLights); ++i) {
+      vec3 to = frame.lights[5 * i].xyz - p;
       float square = dot(to, to);
-      float window = max(1.0 - square * frame.lights[2 * i].w, 0.0);
+      float window = max(1.0 - square * frame.lights[5 * i].w, 0.0);
       vec3 way = to * inversesqrt(square + 1e-6);
       float diffuse = max(dot(normal, way), 0.0) * window * window / (1.0 + square);
+      vec4 facing = frame.lights[5 * i + 2];
+      vec4 u = frame.lights[5 * i + 3];
+      vec3 v = frame.lights[5 * i + 4].xyz;
+      bool area = (kAreas >> i & 1u) != 0u;
+      if (area) {
+        // Glints are those of the rectangle's point that is nearest to the mirrored ray.
+        float behind = dot(facing.xyz, mirrored);
+        vec3 hit = mirrored * (dot(facing.xyz, to) / min(behind, -1e-3)) - to;
+        vec2 on = clamp(vec2(dot(hit, u.xyz) / dot(u.xyz, u.xyz), dot(hit, v) / dot(v, v)), -1.0, 1.0);
+        way = normalize(to + on.x * u.xyz + on.y * v);
+        diffuse = dot(facing.xyz, to) < 0.0 ? window * window * seen_rectangle(to, u.xyz, v, normal) : 0.0;
+      }
+      if ((kCones >> i & 1u) != 0u) {
+        float inside = clamp((-dot(facing.xyz, way) - facing.w) * u.w, 0.0, 1.0);
+        diffuse *= inside * inside;
+      }
+      if ((kShadows >> i & 1u) != 0u) {
+        uint lit = sky || !(diffuse > 1e-5) ? kNone : place;
+        vec3 from = p + normal * bias;
+        // A point's own, or four of a rectangle, whose half sides are 0 for a point.
+        int rays = area ? 4 : 1;
+        float seen = 0.0;
+        for (int k = 0; k < rays; ++k) {
+          vec2 side = vec2(k & 1, k >> 1) - 0.5;
+          vec3 beam = to - normal * bias + side.x * u.xyz + side.y * v;
+          float ray = lamplight(from, beam, lit);
+          if (kHasMeshes) ray *= mesh_light(from, beam, 1.0, lit != kNone && ray > 0.0);
+          seen += ray;
+        }
+        diffuse *= seen / float(rays);
+      }
       float glint = pow(max(dot(normal, normalize(way - direction)), 0.0), surface.shininess);
-      color += frame.lights[2 * i + 1].rgb * diffuse * (surface.color + glint * surface.specular);
+      color += frame.lights[5 * i + 1].rgb * diffuse * (surface.color + glint * surface.specular);
     }
   }
   float clear = exp(-frame.horizon.w * reach * length(d));
@@ -459,9 +839,7 @@ Sample look(vec2 position) {
   if (sky) color = sky_color(direction, noise);
 
   if (kHasParticles) {
-    ivec2 tile = clamp(ivec2(position - frame.window.xy) >> frame.tiles.w, ivec2(0), frame.tiles.xy - 1);
-    uvec2 list =
-        texelFetch(lists, frame.tiles.z + 2 * (tile.y * frame.tiles.x + tile.x) + 1).xy;
+    uvec2 list = tile_list(position, 1);
     for (uint i = 0u; i < list.y; ++i) {
       int index = frame.bases.y + 2 * int(texelFetch(lists, int(list.x + i)).x);
       vec4 disc = texelFetch(texels, index), glow = texelFetch(texels, index + 1);

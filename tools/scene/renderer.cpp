@@ -13,7 +13,8 @@
 namespace shale {
 namespace {
 
-constexpr uint32_t kGroup = 8;               ///< pixels along a side of a workgroup
+constexpr uint32_t kGroup = 8;  ///< pixels along a side of a workgroup
+constexpr uint32_t kBindings = 6;
 constexpr uint32_t kPixelFloats = 6;         ///< of a pixel in the output buffer
 constexpr uint64_t kBandSamples = 1u << 20;  ///< a submission takes a fraction of a second on a CPU
 
@@ -68,6 +69,9 @@ class SceneRenderer::Impl {
   Result<void> make(const Scene& scene, VkPipelineCache cache) {
     SHALE_TRY_VOID(make_layout());
     SHALE_TRY_VOID(make_pipeline(scene, cache));
+    SHALE_TRY(const ModelBuffers models, model_buffers(scene.models));
+    SHALE_TRY(geometry_, words_of(models.geometry, "of triangles"));
+    SHALE_TRY(pictures_, words_of(models.texels, "of textures"));
     SHALE_TRY(block_,
               vk::Buffer::create(context_, sizeof(FrameBlock), VK_BUFFER_USAGE_UNIFORM_BUFFER_BIT,
                                  vk::MemoryKind::kUpload));
@@ -144,12 +148,26 @@ class SceneRenderer::Impl {
     }
   }
 
+  Result<vk::Buffer> words_of(const std::vector<uint32_t>& words, const char* what) {
+    const uint64_t bytes = std::max<uint64_t>(words.size(), 4) * sizeof(uint32_t);
+    if (bytes > context_.limits.maxStorageBufferRange)
+      return device_error(context_.caps.name, "cannot bind {} bytes {}, it binds {}", bytes, what,
+                          context_.limits.maxStorageBufferRange);
+    SHALE_TRY(vk::Buffer buffer,
+              vk::Buffer::create(context_, bytes, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT,
+                                 vk::MemoryKind::kUpload));
+    if (!words.empty())
+      std::memcpy(buffer.mapped().data(), words.data(), words.size() * sizeof(uint32_t));
+    return buffer;
+  }
+
   Result<void> make_layout() {
-    constexpr std::array<VkDescriptorType, 4> kTypes{
-        VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER, VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER,
-        VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER};
-    std::array<VkDescriptorSetLayoutBinding, 4> bindings{};
-    std::array<VkDescriptorPoolSize, 4> sizes{};
+    constexpr std::array<VkDescriptorType, kBindings> kTypes{
+        VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER,       VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER,
+        VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,
+        VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,       VK_DESCRIPTOR_TYPE_STORAGE_BUFFER};
+    std::array<VkDescriptorSetLayoutBinding, kBindings> bindings{};
+    std::array<VkDescriptorPoolSize, kBindings> sizes{};
     for (uint32_t i = 0; i < kTypes.size(); ++i) {
       bindings[i] = {i, kTypes[i], 1, VK_SHADER_STAGE_COMPUTE_BIT, nullptr};
       sizes[i] = {kTypes[i], 1};
@@ -198,13 +216,38 @@ class SceneRenderer::Impl {
           return scene.materials[p.material].cutout != CutoutKind::kNone &&
                  (p.shape == PrimitiveShape::kSphere || p.shape == PrimitiveShape::kCylinder);
         });
-    const std::array<uint32_t, 7> features{patterns,
-                                           cutouts,
-                                           round_cutouts,
-                                           !scene.emitters.empty(),
-                                           static_cast<uint32_t>(scene.overlays.size()),
-                                           !scene.lights.empty(),
-                                           scene.sky.clouds > 0 || scene.sky.stars > 0};
+    uint32_t shadows = 0, areas = 0, cones = 0;
+    for (uint32_t i = 0; i < scene.lights.size(); ++i) {
+      const Light& light = scene.lights[i];
+      shadows |= (light.casts_shadow ? 1u : 0u) << i;
+      areas |= (light.size_x > 0 ? 1u : 0u) << i;
+      cones |= (light.cone_outer > 0 ? 1u : 0u) << i;
+    }
+    const auto any_material = [&](const auto& has) {
+      return std::any_of(scene.materials.begin(), scene.materials.end(), has);
+    };
+    const bool mesh_cutouts =
+        std::any_of(scene.models.begin(), scene.models.end(), [](const SceneModel& model) {
+          return std::any_of(model.mesh.materials.begin(), model.mesh.materials.end(),
+                             [](const MeshMaterial& m) { return m.cut_out && m.texture >= 0; });
+        });
+    const std::array<uint32_t, 15> features{
+        patterns,
+        cutouts,
+        round_cutouts,
+        !scene.emitters.empty(),
+        static_cast<uint32_t>(scene.overlays.size()),
+        static_cast<uint32_t>(scene.lights.size()),
+        scene.sky.clouds > 0 || scene.sky.stars > 0,
+        shadows,
+        areas,
+        cones,
+        any_material([](const Material& m) { return m.signal != kSteady; }),
+        any_material(
+            [](const Material& m) { return m.scroll_x != 0 || m.scroll_y != 0 || m.change > 0; }),
+        scene.sky.harmonics.has_value(),
+        !scene.instances.empty(),
+        mesh_cutouts};
     std::array<VkSpecializationMapEntry, features.size()> entries{};
     for (uint32_t i = 0; i < entries.size(); ++i)
       entries[i] = {i, i * static_cast<uint32_t>(sizeof(uint32_t)), sizeof(uint32_t)};
@@ -239,9 +282,11 @@ class SceneRenderer::Impl {
 
   void write_set() {
     const VkDescriptorBufferInfo block{block_.get(), 0, VK_WHOLE_SIZE};
-    const VkDescriptorBufferInfo out{out_.get(), 0, VK_WHOLE_SIZE};
+    const std::array<VkDescriptorBufferInfo, 3> storage{{{out_.get(), 0, VK_WHOLE_SIZE},
+                                                         {geometry_.get(), 0, VK_WHOLE_SIZE},
+                                                         {pictures_.get(), 0, VK_WHOLE_SIZE}}};
     const std::array<VkBufferView, 2> views{texels_.view(), lists_.view()};
-    std::array<VkWriteDescriptorSet, 4> writes{};
+    std::array<VkWriteDescriptorSet, kBindings> writes{};
     for (uint32_t i = 0; i < writes.size(); ++i) {
       writes[i] = vk::init<VkWriteDescriptorSet>(VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET);
       writes[i].dstSet = set_;
@@ -254,8 +299,10 @@ class SceneRenderer::Impl {
       writes[1 + i].descriptorType = VK_DESCRIPTOR_TYPE_UNIFORM_TEXEL_BUFFER;
       writes[1 + i].pTexelBufferView = &views[i];
     }
-    writes[3].descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
-    writes[3].pBufferInfo = &out;
+    for (size_t i = 0; i < storage.size(); ++i) {
+      writes[3 + i].descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
+      writes[3 + i].pBufferInfo = &storage[i];
+    }
     context_.vk.UpdateDescriptorSets(context_.device, static_cast<uint32_t>(writes.size()),
                                      writes.data(), 0, nullptr);
   }
@@ -266,7 +313,7 @@ class SceneRenderer::Impl {
   vk::PipelineHandle pipeline_;
   vk::DescriptorPoolHandle pool_;
   VkDescriptorSet set_ = VK_NULL_HANDLE;  // freed with its pool
-  vk::Buffer block_, out_;
+  vk::Buffer block_, out_, geometry_, pictures_;
   TexelBuffer texels_{VK_FORMAT_R32G32B32A32_SFLOAT, sizeof(Float4)};
   TexelBuffer lists_{VK_FORMAT_R32G32_UINT, sizeof(Uint2)};
 };

@@ -4,6 +4,8 @@
 #include <bit>
 #include <limits>
 
+#include "tools/scene/bvh.h"
+
 namespace shale {
 namespace {
 
@@ -28,6 +30,17 @@ struct Corners {
   std::array<Vec3, 8> at;
   uint32_t count = 8;
 };
+
+Corners corners_of(const Box& box, const Affine& to_world) {
+  Corners corners;
+  for (uint32_t i = 0; i < corners.count; ++i) {
+    const auto side = [&](size_t axis) -> double {
+      return (i >> axis & 1 ? box.high : box.low)[axis];
+    };
+    corners.at[i] = to_world.point({side(0), side(1), side(2)});
+  }
+  return corners;
+}
 
 Corners corners_of(const Primitive& primitive, const Affine& to_world) {
   Corners corners;
@@ -112,10 +125,17 @@ class Tables {
     add_primitives();
     add_materials();
     add_particles();
+    add_caster_tree();
+    add_instances();
     if (tables_.texels.size() > max_texels)
       return unsupported(scene_.name, "needs {} texels, the device binds {}", tables_.texels.size(),
                          max_texels);
-    see_primitives();
+    for (uint32_t i = 0; i < posed_.size(); ++i) see(posed_[i].corners, i, seen_);
+    for (uint32_t i = 0; i < posed_meshes_.size(); ++i)
+      see(posed_meshes_[i].corners, i, seen_meshes_);
+    for (std::vector<Seen>* all : {&seen_, &seen_meshes_})
+      std::stable_sort(all->begin(), all->end(),
+                       [](const Seen& a, const Seen& b) { return a.nearest < b.nearest; });
     for (int32_t log2 = kSmallestTileLog2; log2 <= kLargestTileLog2; ++log2) {
       // Coarser cells for the shadows as well: both lists share the buffer.
       const double coarser = std::ldexp(1.0, log2 - kSmallestTileLog2);
@@ -178,19 +198,14 @@ class Tables {
     b.sky_was[2] = float4(was.forward, 0);
     const Vec3 sun = sun_direction(scene_.sun, poses_.frame);
     b.sun = float4(sun, std::cos(scene_.sun.disc / 2 * kDegrees));
-    b.sun_color = float4(scene_.sun.color, scene_.sun.disc > 0 ? 8 : 0);
-    b.zenith = float4(scene_.sky.zenith, scene_.sky.clouds);
-    b.horizon = float4(scene_.sky.horizon, scene_.sky.fog);
-    b.ground = float4(scene_.sky.ground, scene_.sky.stars);
-    b.ambient = float4(scene_.sky.ambient, scene_.exposure);
-    for (size_t i = 0; i < kMaxLights; ++i) {
-      b.lights[2 * i] = b.lights[2 * i + 1] = {};
-      if (i >= scene_.lights.size()) continue;
-      const PointLight& light = scene_.lights[i];
-      const Vec3 at = poses_.nodes[static_cast<size_t>(light.node)].at - c.eye;
-      b.lights[2 * i] = float4(at, 1 / (light.range * light.range));
-      b.lights[2 * i + 1] = float4(light.color, 0);
-    }
+    b.sun_color = float4(scene_.sun.color * signal(scene_.sun.signal), scene_.sun.disc > 0 ? 8 : 0);
+    const Vec3 sky = signal(scene_.sky.signal);
+    b.zenith = float4(scene_.sky.zenith * sky, scene_.sky.clouds);
+    b.horizon = float4(scene_.sky.horizon * sky, scene_.sky.fog);
+    b.ground = float4(scene_.sky.ground * sky, scene_.sky.stars);
+    b.ambient = float4(scene_.sky.ambient * sky, exposure_at(scene_, poses_.frame));
+    fill_lights();
+    fill_harmonics(sky);
     for (Float4& value : b.overlays) value = {};
     for (size_t i = 0; i < scene_.overlays.size(); ++i) {
       const Overlay& o = scene_.overlays[i];
@@ -209,31 +224,65 @@ class Tables {
     b.bases = {0, 0, 0, same_view() ? 1 : 0};
   }
 
+  Vec3 signal(int index, uint32_t variant = 0) const {
+    return signal_value(scene_, index, poses_.frame, variant);
+  }
+
+  void fill_lights() {
+    std::fill(std::begin(tables_.block.lights), std::end(tables_.block.lights), Float4{});
+    for (size_t i = 0; i < scene_.lights.size(); ++i) {
+      const Light& light = scene_.lights[i];
+      const Affine& pose = poses_.nodes[static_cast<size_t>(light.node)];
+      const double outer = std::cos(light.cone_outer / 2 * kDegrees);
+      const double inner = std::cos(light.cone_inner / 2 * kDegrees);
+      Float4* at = &tables_.block.lights[5 * i];
+      at[0] = float4(pose.at - poses_.camera.eye, 1 / (light.range * light.range));
+      at[1] = float4(light.color * signal(light.signal, light.variant), 0);
+      at[2] = float4(normalized(pose.y * -1, {0, -1, 0}), outer);
+      at[3] = float4(pose.x * (light.size_x / 2), inner > outer ? 1 / (inner - outer) : 0);
+      at[4] = float4(pose.z * (light.size_z / 2), 0);
+    }
+  }
+
+  /// Source: Ramamoorthi and Hanrahan, An Efficient Representation for Irradiance Environment Maps,
+  /// 2001; the factors of the bands are 1, 2/3 and 1/4 of pi, which the reflection divides away.
+  void fill_harmonics(const Vec3& sky) {
+    if (!scene_.sky.harmonics) return;
+    constexpr double kFactors[9]{
+        0.28209479177387814,        0.4886025119029199 * 2 / 3, 0.4886025119029199 * 2 / 3,
+        0.4886025119029199 * 2 / 3, 1.0925484305920792 / 4,     1.0925484305920792 / 4,
+        0.31539156525252005 / 4,    1.0925484305920792 / 4,     0.5462742152960396 / 4};
+    for (size_t i = 0; i < 9; ++i)
+      tables_.block.harmonics[i] = float4((*scene_.sky.harmonics)[i] * sky * kFactors[i], 0);
+  }
+
   bool same_view() const { return poses_.camera == poses_.camera_was; }
 
-  void add_primitives() {
+  /// Six texels: from the world to an object's space, and from there to clip space as it was.
+  void add_rows(const Affine& inverse, Affine before) {
     const CameraPose& was = poses_.camera_was;
+    const auto row = [](const Affine& a, int axis) -> Float4 {
+      const auto pick = [&](const Vec3& v) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; };
+      return {static_cast<float>(pick(a.x)), static_cast<float>(pick(a.y)),
+              static_cast<float>(pick(a.z)), static_cast<float>(pick(a.at))};
+    };
+    for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(inverse, axis));
+    before.at = before.at - was.eye;
+    const Affine to_view{
+        {was.right.x / projection_.tan_x, was.up.x / projection_.tan_y, was.forward.x},
+        {was.right.y / projection_.tan_x, was.up.y / projection_.tan_y, was.forward.y},
+        {was.right.z / projection_.tan_x, was.up.z / projection_.tan_y, was.forward.z},
+        {}};
+    const Affine clip_was = to_view * before;
+    for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(clip_was, axis));
+  }
+
+  void add_primitives() {
     for (size_t i = 0; i < scene_.primitives.size(); ++i) {
       const Primitive& primitive = scene_.primitives[i];
       const Material& material = scene_.materials[primitive.material];
       const Affine inverse = inverse_orthogonal(posed_[i].to_world);
-      const auto row = [](const Affine& a, int axis) -> Float4 {
-        const auto pick = [&](const Vec3& v) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; };
-        return {static_cast<float>(pick(a.x)), static_cast<float>(pick(a.y)),
-                static_cast<float>(pick(a.z)), static_cast<float>(pick(a.at))};
-      };
-      for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(inverse, axis));
-
-      Affine before = unit_to_world(primitive, poses_.nodes_was);
-      before.at = before.at - was.eye;
-      const Affine to_view{
-          {was.right.x / projection_.tan_x, was.up.x / projection_.tan_y, was.forward.x},
-          {was.right.y / projection_.tan_x, was.up.y / projection_.tan_y, was.forward.y},
-          {was.right.z / projection_.tan_x, was.up.z / projection_.tan_y, was.forward.z},
-          {}};
-      const Affine clip_was = to_view * before;
-      for (int axis = 0; axis < 3; ++axis) tables_.texels.push_back(row(clip_was, axis));
-
+      add_rows(inverse, unit_to_world(primitive, poses_.nodes_was));
       const size_t node = static_cast<size_t>(primitive.node);
       const bool still = same_view() && poses_.nodes[node] == poses_.nodes_was[node];
       tables_.texels.push_back(float4(primitive.half, 0));
@@ -262,7 +311,12 @@ class Tables {
       tables_.texels.push_back({static_cast<float>(m.variation), static_cast<float>(m.grain),
                                 static_cast<float>(1 / m.grain_size),
                                 static_cast<float>(m.specular)});
-      tables_.texels.push_back({static_cast<float>(m.shininess), 0, 0, 0});
+      const double drawn = m.change > 0 ? std::floor(poses_.frame / m.change) : 0;
+      tables_.texels.push_back(
+          {static_cast<float>(m.shininess), static_cast<float>(m.scroll_x * poses_.frame),
+           static_cast<float>(m.scroll_y * poses_.frame),
+           number(m.change > 0 ? scene_hash(scene_.seed, static_cast<uint32_t>(drawn)) >> 8 : 0)});
+      tables_.texels.push_back(float4(signal(m.signal), 0));
     }
   }
 
@@ -290,35 +344,120 @@ class Tables {
                      [](const SeenParticle& a, const SeenParticle& b) { return a.z > b.z; });
   }
 
-  void see_primitives() {
-    const double near = scene_.camera.near_plane;
+  /// A tree of what casts shadows, for rays to lights that have some. A node is two texels: box, and
+  /// where its part of the tree ends, negative at the end; the entry of a leaf's primitive, else
+  /// negative.
+  void add_caster_tree() {
+    tables_.block.bases[2] = static_cast<int32_t>(tables_.texels.size());
+    if (std::none_of(scene_.lights.begin(), scene_.lights.end(),
+                     [](const Light& light) { return light.casts_shadow; }))
+      return;
+    std::vector<Box> boxes;
+    std::vector<uint32_t> indices;
     for (uint32_t i = 0; i < scene_.primitives.size(); ++i) {
-      std::array<Vec3, 8> v;
-      const Corners& corners = posed_[i].corners;
-      for (uint32_t k = 0; k < corners.count; ++k) v[k] = view(corners.at[k]);
-      Seen seen{i, std::numeric_limits<double>::infinity(), {}};
-      const auto take = [&](const Vec3& at) {
-        seen.nearest = std::min(seen.nearest, at.z);
-        seen.outline.push_back(pixel(at));
-      };
-      // Slightly before the near plane: the shader cuts exactly there.
-      const double cut = near * 0.999;
-      for (uint32_t k = 0; k < corners.count; ++k) {
-        if (v[k].z >= cut) take(v[k]);
-        for (uint32_t bit = 1; bit < corners.count; bit <<= 1) {
-          if (k & bit) continue;
-          const Vec3 &a = v[k], &b = v[k | bit];
-          if ((a.z < cut) == (b.z < cut)) continue;
-          Vec3 at = mix(a, b, (cut - a.z) / (b.z - a.z));
-          at.z = cut;
-          take(at);
-        }
-      }
-      if (seen.outline.empty() || seen.nearest > farthest()) continue;
-      seen_.push_back(std::move(seen));
+      if (!scene_.primitives[i].casts_shadow) continue;
+      boxes.push_back(box_of(posed_[i].corners));
+      indices.push_back(i);
     }
-    std::stable_sort(seen_.begin(), seen_.end(),
-                     [](const Seen& a, const Seen& b) { return a.nearest < b.nearest; });
+    add_tree(boxes, [&](uint32_t box) {
+      const Primitive& primitive = scene_.primitives[indices[box]];
+      return entry_bits(indices[box], primitive, scene_.materials[primitive.material]);
+    });
+  }
+
+  /// `entry` tells what stands in the leaf of a box.
+  void add_tree(const std::vector<Box>& boxes, const std::function<uint32_t(uint32_t)>& entry) {
+    const Bvh tree = build_bvh(boxes, 1);
+    for (const BvhNode& node : tree.nodes) {
+      const Box& b = node.box;
+      const bool last = node.next == tree.nodes.size();
+      tables_.texels.push_back({b.low[0], b.low[1], b.low[2], last ? -1 : number(node.next)});
+      tables_.texels.push_back({b.high[0], b.high[1], b.high[2],
+                                node.count == 0 ? -1 : number(entry(tree.order[node.first]))});
+    }
+    // An empty tree: a box that nothing meets.
+    if (tree.nodes.empty()) {
+      tables_.texels.push_back({1, 1, 1, -1});
+      tables_.texels.push_back({-1, -1, -1, -1});
+    }
+  }
+
+  void add_instances() {
+    FrameBlock& block = tables_.block;
+    block.meshes = {static_cast<int32_t>(tables_.texels.size()), 0, 0, 0};
+    if (scene_.instances.empty()) return;
+    const std::vector<ModelPart> parts = model_parts(scene_.models);
+    uint32_t nodes = 0, triangles = 0;
+    for (const SceneModel& model : scene_.models) {
+      nodes += static_cast<uint32_t>(model.tree.nodes.size());
+      triangles += static_cast<uint32_t>(model.mesh.triangles.size());
+    }
+    block.meshes[2] = static_cast<int32_t>(2 * nodes);
+    block.meshes[3] = static_cast<int32_t>(2 * nodes + 5 * triangles);
+    std::vector<Box> boxes;
+    std::vector<uint32_t> indices;
+    for (uint32_t i = 0; i < scene_.instances.size(); ++i) {
+      const Instance& instance = scene_.instances[i];
+      const auto node = static_cast<size_t>(instance.node);
+      Posed posed;
+      posed.to_world = poses_.nodes[node];
+      posed.to_world.at = posed.to_world.at - poses_.camera.eye;
+      posed.corners = corners_of(scene_.models[instance.model].tree.nodes[0].box, posed.to_world);
+      add_rows(inverse_orthogonal(posed.to_world), poses_.nodes_was[node]);
+      const ModelPart& part = parts[instance.model];
+      const bool still = same_view() && poses_.nodes[node] == poses_.nodes_was[node];
+      tables_.texels.push_back(
+          {number(part.node), number(part.triangle), number(part.material), still ? 1.0f : 0.0f});
+      tables_.texels.push_back({static_cast<float>(std::log2(length(posed.to_world.x))), 0, 0, 0});
+      if (instance.casts_shadow) {
+        boxes.push_back(box_of(posed.corners));
+        indices.push_back(i);
+      }
+      posed_meshes_.push_back(posed);
+    }
+    block.meshes[1] = static_cast<int32_t>(tables_.texels.size());
+    add_tree(boxes, [&](uint32_t box) { return indices[box]; });
+  }
+
+  /// Slightly larger, since the device computes in float.
+  static Box box_of(const Corners& corners) {
+    Box box;
+    for (uint32_t k = 0; k < corners.count; ++k) {
+      const Vec3& p = corners.at[k];
+      const double at[3]{p.x, p.y, p.z};
+      for (size_t a = 0; a < 3; ++a) {
+        const double more = 1e-4 + 1e-6 * std::abs(at[a]);
+        box.low[a] = std::min(box.low[a], static_cast<float>(at[a] - more));
+        box.high[a] = std::max(box.high[a], static_cast<float>(at[a] + more));
+      }
+    }
+    return box;
+  }
+
+  /// Adds what the picture can show of something within the corners.
+  void see(const Corners& corners, uint32_t index, std::vector<Seen>& all) const {
+    std::array<Vec3, 8> v;
+    for (uint32_t k = 0; k < corners.count; ++k) v[k] = view(corners.at[k]);
+    Seen seen{index, std::numeric_limits<double>::infinity(), {}};
+    const auto take = [&](const Vec3& at) {
+      seen.nearest = std::min(seen.nearest, at.z);
+      seen.outline.push_back(pixel(at));
+    };
+    // Slightly before the near plane: the shader cuts exactly there.
+    const double cut = scene_.camera.near_plane * 0.999;
+    for (uint32_t k = 0; k < corners.count; ++k) {
+      if (v[k].z >= cut) take(v[k]);
+      for (uint32_t bit = 1; bit < corners.count; bit <<= 1) {
+        if (k & bit) continue;
+        const Vec3 &a = v[k], &b = v[k | bit];
+        if ((a.z < cut) == (b.z < cut)) continue;
+        Vec3 at = mix(a, b, (cut - a.z) / (b.z - a.z));
+        at.z = cut;
+        take(at);
+      }
+    }
+    if (seen.outline.empty() || seen.nearest > farthest()) return;
+    all.push_back(std::move(seen));
   }
 
   void add_tiles(int32_t log2) {
@@ -327,21 +466,25 @@ class Tables {
       return static_cast<int32_t>((pixels + (1u << log2) - 1) >> log2);
     };
     const int32_t columns = count(window_.size.width), rows = count(window_.size.height);
-    CellLists primitives(columns, rows, most_entries_), particles(columns, rows, most_entries_);
+    CellLists primitives(columns, rows, most_entries_), particles(columns, rows, most_entries_),
+        meshes(columns, rows, most_entries_);
     std::vector<Point2> cells;
-    for (const Seen& seen : seen_) {
-      const Primitive& primitive = scene_.primitives[seen.index];
-      const Material& material = scene_.materials[primitive.material];
+    const auto cover = [&](const Seen& seen, uint32_t bits, CellLists& lists) {
       cells.clear();
       for (const Point2& p : seen.outline)
         cells.push_back({(p.x - window_.x) / side, (p.y - window_.y) / side});
       // A little nearer, since the device computes the distance in float.
       const Uint2 entry{
-          entry_bits(seen.index, primitive, material),
-          std::bit_cast<uint32_t>(static_cast<float>(seen.nearest * (1 - 1e-5) - 1e-5))};
+          bits, std::bit_cast<uint32_t>(static_cast<float>(seen.nearest * (1 - 1e-5) - 1e-5))};
       cover_cells(cells, kPixelMargin / side, columns, rows,
-                  [&](int32_t x, int32_t y) { primitives.add(x, y, entry); });
+                  [&](int32_t x, int32_t y) { lists.add(x, y, entry); });
+    };
+    for (const Seen& seen : seen_) {
+      const Primitive& primitive = scene_.primitives[seen.index];
+      cover(seen, entry_bits(seen.index, primitive, scene_.materials[primitive.material]),
+            primitives);
     }
+    for (const Seen& seen : seen_meshes_) cover(seen, seen.index, meshes);
     for (const SeenParticle& p : particles_) {
       const double x = (p.x - window_.x) / side, y = (p.y - window_.y) / side;
       const double r = (p.radius + kPixelMargin) / side;
@@ -354,15 +497,16 @@ class Tables {
     std::vector<Uint2>& out = tables_.lists;
     const size_t base = out.size();
     tables_.block.tiles = {columns, rows, static_cast<int32_t>(base), log2};
-    // For a tile: first and number of the primitives, and of the particles.
-    out.resize(base + 2 * primitives.cells());
-    size_t part = 0;
-    for (const CellLists* lists : {&primitives, &particles}) {
+    // For a tile: first and number of the primitives, of the particles, and of the meshes if the scene
+    // has some.
+    std::vector<const CellLists*> parts{&primitives, &particles};
+    if (!scene_.instances.empty()) parts.push_back(&meshes);
+    out.resize(base + parts.size() * primitives.cells());
+    for (size_t part = 0; part < parts.size(); ++part) {
       std::vector<uint32_t> first;
-      lists->append_to(out, first);
+      parts[part]->append_to(out, first);
       for (size_t i = 0; i < first.size(); ++i)
-        out[base + 2 * i + part] = {first[i], lists->count(i)};
-      ++part;
+        out[base + parts.size() * i + part] = {first[i], parts[part]->count(i)};
     }
   }
 
@@ -433,10 +577,10 @@ class Tables {
   const Window window_;
   const bool reverse_;
   const Projection projection_;
-  FrameTables tables_;
+  FrameTables tables_{};
   size_t most_entries_ = 0;
-  std::vector<Posed> posed_;
-  std::vector<Seen> seen_;
+  std::vector<Posed> posed_, posed_meshes_;
+  std::vector<Seen> seen_, seen_meshes_;
   std::vector<SeenParticle> particles_;
 };
 
@@ -530,13 +674,13 @@ Projection projection_of(const SceneCamera& camera, Extent full, bool reverse_de
   return p;
 }
 
-FramePoses frame_poses(const Scene& scene, double frame, bool continued) {
+FramePoses frame_poses(const Scene& scene, double frame, bool continued, double step) {
   FramePoses poses;
   poses.frame = frame;
   poses.camera = camera_pose(scene.camera, frame);
   poses.nodes = node_poses(scene, frame);
-  poses.camera_was = continued ? camera_pose(scene.camera, frame - 1) : poses.camera;
-  poses.nodes_was = continued ? node_poses(scene, frame - 1) : poses.nodes;
+  poses.camera_was = continued ? camera_pose(scene.camera, frame - step) : poses.camera;
+  poses.nodes_was = continued ? node_poses(scene, frame - step) : poses.nodes;
   return poses;
 }
 

@@ -4,7 +4,7 @@
 set -eu
 
 build="build-essential cmake ninja-build libfmt-dev libflatbuffers-dev flatbuffers-compiler glslang-dev glslang-tools
-  spirv-tools spirv-headers nlohmann-json3-dev libcli11-dev libstb-dev libopenexr-dev libimath-dev zlib1g-dev libjs-chart.js libvulkan-dev mesa-vulkan-drivers"
+  spirv-tools spirv-headers nlohmann-json3-dev libcli11-dev libstb-dev libopenexr-dev libimath-dev zlib1g-dev libminizip-dev libtinygltf-dev libjs-chart.js libvulkan-dev mesa-vulkan-drivers"
 # python3-torch is in both: the tests train a few steps.
 train="python3 python3-numpy python3-torch python3-flatbuffers"
 test="$build $train libgtest-dev libbenchmark-dev vulkan-validationlayers clang libclang-rt-14-dev valgrind"
