@@ -498,7 +498,7 @@ TEST_F(MeshTest, AlphaLeavesHolesForEyesAndForLight) {
     "sun": {"direction": [0, 0, 1], "color": [1, 1, 1]},
     "sky": {"zenith": [0, 0, 0], "horizon": [0, 0, 0], "ground": [0, 0, 0], "ambient": [0, 0, 0]},
     "materials": {"white": {"color": [1, 1, 1]}}, "models": {"m": {"file": "a.obj"}},
-    "objects": [{"shape": "quad", "at": [0, 0, -2], "size": [20, 20], "material": "white"}, {"shape": "mesh", "model": "m"}]})";
+    "objects": [{"shape": "quad", "at": [0, 0, -2], "size": [60, 60], "material": "white"}, {"shape": "mesh", "model": "m"}]})";
   const Scene scene = must(parse_scene(text, root_.string()));
   const Extent size{80, 60};
   const CameraPose pose = camera_pose(scene.camera, 0);
