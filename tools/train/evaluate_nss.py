@@ -207,7 +207,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--clips", nargs="+", help="clip names (default: all)")
     parser.add_argument("--first", type=int, default=0, help="first frame (default: 0)")
     parser.add_argument("--frames", type=int, help="frames per clip (default: all)")
-    parser.add_argument("--ratio", default="x2", help="folder of the rendered pictures (default: x2)")
+    parser.add_argument("--ratio", help="folder of the rendered pictures (default: x2, else the first)")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--ssim", action="store_true", help="SSIM, too (slow)")
     parser.add_argument("--out", type=Path, help="JSON file (default: standard output)")

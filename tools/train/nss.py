@@ -486,7 +486,7 @@ def load_model(path) -> tuple[Nss, dict]:
                 weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
             ranges = record.pop("ranges")
         else:
-            state = torch.load(path, map_location="cpu")
+            state = torch.load(path, map_location="cpu", weights_only=False)
             record, weights, ranges = state["record"], state["model"], state["ranges"]
         model = Nss(MODES[record["mode"]])
         model.load_state_dict(weights)

@@ -9,6 +9,7 @@ import tempfile
 import unittest
 import zlib
 from collections import Counter
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -444,7 +445,7 @@ class Training(unittest.TestCase):
         clip = make_clip(speed=(0.0, 0.0), frames=4)
         for flips in ((True, False, False), (False, True, True), (True, True, True)):
             how = nss_data.Augmentation(*flips)
-            sequence = nss_data.Sequence([clip], 0, [(0, 0)], 32, 2, how, torch.ones(1, 1, 1, 1))
+            sequence = nss_data.Sequence([clip], [0], [(0, 0)], 32, Fraction(2), how, torch.ones(1, 1, 1, 4))
             frame, truth = sequence.frame(1), sequence.truth(1)
             uv = passes.uv_grid(64, 64, truth)
             right = passes.bilinear(frame.colour, uv - passes._jitter_uv(frame, frame.jitter))
