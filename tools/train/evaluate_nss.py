@@ -26,6 +26,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+import fused
 import nss
 import nss_data
 import nss_passes as passes
@@ -135,9 +136,9 @@ class Network:
 
     def __call__(self, frame: passes.Frame, cut: bool, output: tuple[int, int]) -> torch.Tensor:
         state = None if cut else self.state
-        before = passes.pre(self.mode, frame, state)
+        before = fused.pre(self.mode, frame, state)
         outputs = self.run(before.input)
-        after = passes.post(self.mode, frame, before, outputs, state, output)
+        after = fused.post(self.mode, frame, before, outputs, state, output)
         self.state = passes.next_state(frame, before, outputs, after, half=True)
         self.last = {"pre": before, "outputs": outputs, "post": after}
         return self.state.history

@@ -1,8 +1,9 @@
-"""The v1 passes in one go on the CPU: fused.cpp, compiled on first use, in place of `nss_passes.post`.
+"""The v1 passes in one go on the CPU: fused.cpp, compiled on first use, in place of `nss_passes.pre`, `.post` and the
+spatial loss.
 
-`post` has the value and the gradient of `nss_passes.post` up to rounding (tests/tools/train compares them) and is
-several times as fast; `available()` says whether there is a compiler. On other devices, and for v0_1, the passes of
-nss_passes.py run.
+They have the values and gradients of what they replace up to rounding (tests/tools/train compares them) and are several
+times as fast; `available()` says whether there is a compiler. On other devices, and for v0_1, the passes of
+nss_passes.py run; the pre passes are those of v1_high alone.
 """
 
 from __future__ import annotations
@@ -65,6 +66,58 @@ def _taps(table: passes.TapTable, count: int) -> torch.Tensor:
 
 def _address(tensor: torch.Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
+
+
+class _Pre(ctypes.Structure):
+    _fields_ = ([(name, ctypes.c_int32) for name in ("n", "w", "h", "out_w", "out_h", "padded_w", "padded_h",
+                                                     "reverse")]
+                + [(name, ctypes.c_float) for name in ("jitter_x", "jitter_y", "full_w", "full_h")]
+                + [(name, ctypes.c_void_p) for name in (
+                    "colour", "depth", "motion", "exposure", "camera", "history", "memory", "feedback", "input", "raw",
+                    "disocclusion", "kept", "nearest", "g_input", "g_history", "g_feedback")])
+
+
+class _FusedPre(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, history, feedback, sizes, given):
+        colour = given["colour"]
+        n, _, h, w = colour.shape
+        made = {name: colour.new_empty(n, c, h, w) for name, c in (("input", 12), ("raw", 2), ("disocclusion", 1),
+                                                                   ("kept", 4), ("nearest", 1))}
+        given = given | {"history": history, "feedback": feedback}
+        _library().shale_pre(ctypes.byref(_Pre(**sizes, **{k: _address(v) for k, v in (given | made).items()})))
+        ctx.sizes, ctx.names = sizes, [*given, "raw", "disocclusion"]
+        ctx.save_for_backward(*given.values(), made["raw"], made["disocclusion"])
+        results = tuple(made.values())
+        ctx.mark_non_differentiable(*results[1:])
+        return results
+
+    @staticmethod
+    def backward(ctx, gradient, *_):
+        given = dict(zip(ctx.names, ctx.saved_tensors))
+        back = [torch.zeros_like(given[name]) if needed else None
+                for name, needed in zip(("history", "feedback"), ctx.needs_input_grad)]
+        given |= {"g_input": gradient.contiguous(), "g_history": back[0], "g_feedback": back[1]}
+        _library().shale_pre(ctypes.byref(_Pre(**ctx.sizes, **{k: _address(v) for k, v in given.items()})))
+        return *back, None, None
+
+
+def pre(mode: passes.Mode, frame: passes.Frame, state: passes.State | None) -> passes.Pre:
+    """`nss_passes.pre`, fused where it can be."""
+    if mode.name != "v1_high" or frame.colour.device.type != "cpu" or not available():
+        return passes.pre(mode, frame, state)
+    (w, h), (fw, fh) = frame.size, frame.full or frame.size
+    given = {"colour": frame.colour, "depth": frame.depth, "motion": frame.motion,
+             "exposure": frame.exposure.reshape(-1), "camera": frame.camera, "memory": state and state.memory}
+    given = {name: value if value is None else value.contiguous() for name, value in given.items()}
+    history, feedback = (state.history.contiguous(), state.feedback.contiguous()) if state else (None, None)
+    big = history.shape if state else (0, 0, 0, 0)
+    padded = feedback.shape if state else (0, 0, 0, 0)
+    sizes = {"n": len(frame.colour), "w": w, "h": h, "out_w": big[3], "out_h": big[2], "padded_w": padded[3],
+             "padded_h": padded[2], "reverse": int(frame.reverse), "jitter_x": frame.jitter[0],
+             "jitter_y": frame.jitter[1], "full_w": fw, "full_h": fh}
+    tensor, raw, disocclusion, memory, nearest = _FusedPre.apply(history, feedback, sizes, given)
+    return passes.Pre(passes.mirror_pad(tensor), raw, disocclusion, passes.mirror_pad(memory), nearest)
 
 
 class _Spatial(ctypes.Structure):

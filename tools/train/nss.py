@@ -472,7 +472,7 @@ def tensor_scales(model: Nss, network: Int8Nss) -> dict[str, dict[str, precision
 
 def save_weights(path, model: Nss, record: dict) -> None:
     """Weights, ranges and training record as .npz; the same model gives the same bytes."""
-    arrays = {name: value.numpy() for name, value in model.state_dict().items()}
+    arrays = {name: value.cpu().numpy() for name, value in model.state_dict().items()}
     text = json.dumps({**record, "mode": model.mode.name, "ranges": model.ranges}, sort_keys=True)
     np.savez(path, record=np.frombuffer(text.encode(), np.uint8), **arrays)
 

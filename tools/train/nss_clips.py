@@ -149,8 +149,8 @@ def _light(rng: random.Random, scene: dict, first: int, view: View) -> None:
     elif kind < 0.45:
         rate, start, height = _log(rng, 0.004, 0.12) * rng.choice((-1, 1)), rng.uniform(0, 6.3), rng.uniform(0.4, 1.2)
         sun.pop("direction", None)
-        sun["path"] = [{"frame": first + t, "direction": [math.cos(start + rate * t), height, math.sin(start + rate * t)]}
-                       for t in range(VARIED_FRAMES)]
+        turns = [(first + t, start + rate * t) for t in range(VARIED_FRAMES)]
+        sun["path"] = [{"frame": at, "direction": [math.cos(angle), height, math.sin(angle)]} for at, angle in turns]
     if rng.random() < 0.25:  # ghosts show most where nothing else is
         sky |= {"clouds": 0, "stars": 0, "horizon": sky.get("zenith", [0.3, 0.4, 0.8])}
 
@@ -191,8 +191,8 @@ def _flyers(rng: random.Random, scene: dict, first: int, view: View) -> None:
         if kind == 1:
             parts = [{"shape": "cylinder", "radius": size * 0.05, "height": size * 8}]
         elif kind == 2:
-            parts = [{"shape": "wire", "from": _moved([0, 0, 0], (-2 * size, axis)),
-                      "to": _moved([0, 0, 0], (2 * size, axis)), "radius": size * 0.03} for axis in ([1, 0, 0], [0, 0, 1])]
+            ends = [[2 * size, 0, 0], [0, 0, 2 * size]]
+            parts = [{"shape": "wire", "from": [-x for x in end], "to": end, "radius": size * 0.03} for end in ends]
             parts.append({"shape": "box", "size": [size * 0.4] * 3})
         elif kind == 3:
             parts = [{"shape": "quad", "size": [size * 3, size * 2]}]

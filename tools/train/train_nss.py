@@ -4,14 +4,14 @@
 One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
 every CHUNK frames (the state goes on, its gradient does not). With --qat the activation ranges are measured first and
 then held while the INT8 arithmetic is faked. Sequences are a function of (seed, step), so a resumed run continues with
-the same bits, given the same machine and thread count. AdamW, cosine rate, 5 % warm-up.
+the same bits, given the same machine and thread count, and no --minutes, which ends the run and its rate by the clock. AdamW, cosine rate, 5 % warm-up.
 
 Loss per frame, on display pictures d(x) = sqrt(x / (1 + x)) of exposed colour, E = d(prediction) - d(truth), ' of the
 frame before, moved to where it is now: w L_S + (1 - w) stability L_T + 0.1 mean|E of the filtered colour| (0.5 on a
 reset) + 0.7 flicker + change C + 0.002 mean q (theta - 1)^2 + 0.0001 mean alpha^2, the last two where nothing is
 disoccluded.
-- L_S = mean|E| + 4 mean E^2 + 0.25 (mean|dE/dx| + mean|dE/dy|) + low mean|E over 8x8| + grid G, G the mean absolute Haar
-  components of E over 2x2 where the truth has none: what jitter leaves behind has this period at ratio 2
+- L_S = mean|E| + 4 mean E^2 + 0.25 (mean|dE/dx| + mean|dE/dy|) + low mean|E over 8x8| + grid G, G the mean absolute
+  Haar components of E over 2x2 where the truth has none: what jitter leaves behind has this period at ratio 2
 - L_T = mean(exp(4 |E - E'|) - 1) / 4; w from .6 to .9 over the frames
 - flicker = mean of the smaller square of two differences of theta in a row that have opposite signs, both above .02
 - C = mean sqrt((q (p - p'))^2 + 1e-6) of predictions p; q = exp(-|truth - truth'| / .06): lag is no stability
@@ -109,7 +109,8 @@ class _SpatialLoss(torch.autograd.Function):
         value += grid * (smooth * parts.abs()).mean()
         c = error.shape[1]
         filters = error.new_tensor(HAAR).div(4.0).repeat(c, 1, 1)[:, None]
-        slope += F.conv_transpose2d(torch.sign(parts).mul_(smooth * (grid / parts.numel())), filters, stride=2, groups=c)
+        part_slope = torch.sign(parts).mul_(smooth * (grid / parts.numel()))
+        slope += F.conv_transpose2d(part_slope, filters, stride=2, groups=c)
         ctx.save_for_backward(slope)
         return value
 
@@ -158,7 +159,7 @@ class Rollout:
         """The frame before the first is known: its truth is the history, the network's memory is empty."""
         with torch.no_grad():
             frame, truth = self.sequence.frame(-1), self.sequence.truth(-1)
-            before = passes.pre(self.model.mode, frame, None)
+            before = fused.pre(self.model.mode, frame, None)
             feedback = before.input.new_zeros(len(truth), 4, *before.input.shape[2:])
             self.state = passes.State(truth, feedback, before.memory, before.depth, frame.jitter)
             wanted = display(truth * frame.exposure)
@@ -170,7 +171,7 @@ class Rollout:
         mode, frame, options = self.model.mode, self.sequence.frame(t), self.options
         truth = self.sequence.truth(t)
         output = (truth.shape[3], truth.shape[2])
-        before = passes.pre(mode, frame, self.state)
+        before = fused.pre(mode, frame, self.state)
         outputs = self.model(before.input)
         after = fused.post(mode, frame, before, outputs, self.state, output)
         loss, filtered, error, wanted = losses(after.output, after.filtered, truth, frame.exposure, options.low,
@@ -250,7 +251,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     model = model.to(memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in ("mode", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
-                                                     "qat", *WEIGHTS)}
+                                                     "qat", "minutes", *WEIGHTS)}
     record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
     path, start = options.out / "last.pt", 0
@@ -273,20 +274,26 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
 
     spent, began, mean = record["seconds"], time.monotonic(), None
 
+    def elapsed() -> float:
+        return spent + time.monotonic() - began
+
     def state_at(step: int) -> dict:
-        record["seconds"], record["done"] = round(spent + time.monotonic() - began, 1), step
+        record["seconds"], record["done"] = round(elapsed(), 1), step
         return {"model": model.state_dict(), "optimizer": optimizer.state_dict(), "step": step, "record": record,
                 "ranges": model.ranges}
 
     step, end = start, options.steps if stop_after is None else min(stop_after, options.steps)
     with Interruption() as interruption:
-        while step < end and not interruption.asked:
+        while step < end and not interruption.asked and not (options.minutes and elapsed() > 60 * options.minutes):
             rng = np.random.default_rng([options.seed, step])
             rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
                                                    device=options.device, full=FULL), options)
             for first in range(0, options.frames, options.chunk):
+                done = step + first / options.frames
+                if options.minutes:
+                    done = max(done, options.steps * elapsed() / (60 * options.minutes))
                 for group in optimizer.param_groups:
-                    group["lr"] = learning_rate(options.lr, step + first / options.frames, options.steps)
+                    group["lr"] = learning_rate(options.lr, done, options.steps)
                 last = min(first + options.chunk, options.frames)
                 loss = sum(rollout.step(t) for t in range(first, last)) / (last - first)
                 optimizer.zero_grad()
@@ -328,6 +335,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--qat", action="store_true", help="fake the INT8 arithmetic; needs --init")
     for name, (default, what) in WEIGHTS.items():
         parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
+    parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
     parser.add_argument("--init", type=Path, help="checkpoint or weights to start from, of any mode")
     parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
     parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
@@ -343,6 +351,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name in WEIGHTS:
         if not 0 <= getattr(options, name) <= 100:
             raise ValueError(f"--{name} must lie in 0 to 100, found {getattr(options, name)}")
+    if not 0 <= options.minutes <= 10**5:
+        raise ValueError(f"--minutes must lie in 0 to 100000, found {options.minutes}")
     if not 0 < options.lr <= 1:
         raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
     if options.crop % 16:
