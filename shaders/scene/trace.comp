@@ -20,8 +20,15 @@ layout(constant_id = 1) const uint kCutouts = 0xFFFFFFFFu;
 layout(constant_id = 2) const bool kHasRoundCutouts = true;
 layout(constant_id = 3) const bool kHasParticles = true;
 layout(constant_id = 4) const int kOverlays = 4;
-layout(constant_id = 5) const bool kHasLights = true;
+layout(constant_id = 5) const uint kLights = 16u;
 layout(constant_id = 6) const bool kHasClouds = true;
+// One bit for each light: casts shadows, is a rectangle, is a cone.
+layout(constant_id = 7) const uint kShadows = 0xFFFFu;
+layout(constant_id = 8) const uint kAreas = 0xFFFFu;
+layout(constant_id = 9) const uint kCones = 0xFFFFu;
+layout(constant_id = 10) const bool kHasSignals = true;
+layout(constant_id = 11) const bool kHasChanges = true;
+layout(constant_id = 12) const bool kHasHarmonics = true;
 
 // The numbers of tools/scene/scene.h.
 const uint kChecker = 1u, kStripes = 2u, kLines = 3u, kBricks = 4u, kDots = 5u, kNoise = 6u,
@@ -30,10 +37,10 @@ const uint kLeaves = 1u, kGrass = 2u, kMesh = 3u, kPickets = 4u, kDisc = 5u, kCu
 bool has_pattern(uint kind) { return (kPatterns >> kind & 1u) != 0u; }
 bool has_cutout(uint kind) { return (kCutouts >> kind & 1u) != 0u; }
 
-const int kMaxLights = 4;
+const int kMaxLights = 16;
 const int kMaxOverlays = 4;
 const int kPrimitiveTexels = 9;
-const int kMaterialTexels = 5;
+const int kMaterialTexels = 6;
 
 layout(std140, binding = 0) uniform Frame {
   vec4 corner, step_x, step_y;
@@ -44,7 +51,8 @@ layout(std140, binding = 0) uniform Frame {
   vec4 sun, sun_color;
   vec4 zenith, horizon, ground, ambient;
   vec4 grid_u, grid_v;
-  vec4 lights[2 * kMaxLights];
+  vec4 lights[5 * kMaxLights];
+  vec4 harmonics[9];
   vec4 overlays[4 * kMaxOverlays];
   ivec4 grid;
   ivec4 tiles;
@@ -305,6 +313,60 @@ float sunlight(vec3 p, uint own) {
   return light;
 }
 
+/// 0 if something stands between `p` and `p + way`. `own` is the primitive that p lies on; without
+/// one there is nothing to be lit.
+float lamplight(vec3 p, vec3 way, uint own) {
+  vec3 slope = 1.0 / mix(way, vec3(1e-20), lessThan(abs(way), vec3(1e-20)));
+  int node = own == kNone ? -1 : 0;
+  float light = 1.0;
+  do {
+    uint leaf = kNone;
+    while (node >= 0 && leaf == kNone) {
+      vec4 low = texelFetch(texels, frame.bases.z + 2 * node);
+      vec4 high = texelFetch(texels, frame.bases.z + 2 * node + 1);
+      vec3 a = (low.xyz - p) * slope, b = (high.xyz - p) * slope;
+      vec3 enter = min(a, b), leave = max(a, b);
+      bool met = max(max(enter.x, enter.y), max(enter.z, 0.0)) <=
+                 min(min(leave.x, leave.y), min(leave.z, 1.0));
+      bool is_leaf = high.w >= 0.0;
+      if (met && is_leaf) leaf = uint(high.w);
+      node = met && !is_leaf ? node + 1 : int(low.w);
+    }
+    if (leaf == kNone) break;
+    Space s = space_of(int(leaf & 0xFFFFu));
+    vec3 ray = vec3(dot(s.x.xyz, way), dot(s.y.xyz, way), dot(s.z.xyz, way));
+    vec3 o = vec3(dot(s.x.xyz, p) + s.x.w, dot(s.y.xyz, p) + s.y.w, dot(s.z.xyz, p) + s.z.w);
+    vec2 span = crossed(leaf >> 16 & 3u, o, ray);
+    bool met = span.x <= span.y;
+    bool near_side = met && span.x > 0.0 && span.x < 1.0;
+    bool far_side = met && span.y > 0.0 && span.y < 1.0;
+    bool blocked = (near_side || far_side) && leaf != own;
+    if (may_be_cut_out(leaf))
+      blocked = (near_side && !is_cut_out(leaf, o + span.x * ray)) ||
+                (far_side && !is_cut_out(leaf, o + span.y * ray));
+    if (blocked) {
+      light = 0.0;
+      node = -1;
+    }
+  } while (true);
+  return light;
+}
+
+/// The part of what a surface at the origin reflects that comes from a rectangle of unit radiance.
+/// Source: Lambert's formula for polygons; what is below the horizon is subtracted.
+float seen_rectangle(vec3 middle, vec3 u, vec3 v, vec3 normal) {
+  vec3 corners[4] = vec3[](normalize(middle - u - v), normalize(middle + u - v),
+                           normalize(middle + u + v), normalize(middle - u + v));
+  float sum = 0.0;
+  for (int i = 0; i < 4; ++i) {
+    vec3 a = corners[i], b = corners[(i + 1) & 3];
+    vec3 across = cross(a, b);
+    float sine = length(across);
+    sum += atan(sine, dot(a, b)) / max(sine, 1e-9) * dot(across, normal);
+  }
+  return max(-sum, 0.0) * (1.0 / 6.28318531);
+}
+
 struct Surface {
   vec3 color, emission;
   float specular, shininess;
@@ -312,7 +374,7 @@ struct Surface {
 
 /// Colour of a material at `uv` metres; `noise` is fractal noise there, 0 to 1.
 Surface patterned(vec4 a, vec4 b, vec4 cells, vec4 more, float shininess, vec2 uv, float noise,
-                  vec3 tint, uint seed, vec3 unit) {
+                  vec3 tint, vec3 glow, uint seed, vec3 unit) {
   uint kind = uint(cells.w);
   vec2 q = uv * cells.xy;
   float row = floor(q.y);
@@ -347,7 +409,7 @@ Surface patterned(vec4 a, vec4 b, vec4 cells, vec4 more, float shininess, vec2 u
     s.color = a.rgb * 0.08;
     s.specular = max(more.w, 0.6);
   }
-  s.emission = s.color * mix(a.w, b.w, mask);
+  s.emission = s.color * mix(a.w, b.w, mask) * glow;
   s.color *= tint;
   return s;
 }
@@ -422,12 +484,19 @@ Sample look(vec2 position) {
   int m = frame.bases.x + int(material & 0xFFu) * kMaterialTexels;
   vec4 more = texelFetch(texels, m + 3);
   vec2 uv = surface(shape, unit, half_material.xyz);
+  vec4 shine_change = texelFetch(texels, m + 4);
+  if (kHasChanges) {
+    uv -= shine_change.yz;
+    seed ^= uint(shine_change.w);
+  }
+  vec3 glow = vec3(1.0);
+  if (kHasSignals) glow = texelFetch(texels, m + 5).rgb;
   vec3 direction = normalize(d);
   vec2 noise_at = sky ? direction.xz / (0.12 + abs(direction.y)) * 1.7 : uv * more.z;
   float noise = fractal_noise(noise_at, sky ? 5u : seed);
   Surface surface = patterned(texelFetch(texels, m), texelFetch(texels, m + 1),
-                              texelFetch(texels, m + 2), more, texelFetch(texels, m + 4).x, uv,
-                              noise, tint_seed.rgb, seed, unit);
+                              texelFetch(texels, m + 2), more, shine_change.x, uv,
+                              noise, tint_seed.rgb, glow, seed, unit);
 
   // Light.
   float bias = 1e-4 + 2e-4 * reach;
@@ -436,22 +505,61 @@ Sample look(vec2 position) {
   vec3 sun = frame.sun_color.rgb * (facing * sunlight(p + normal * bias, own));
   vec3 halfway = normalize(frame.sun.xyz - direction);
   float shine = pow(max(dot(normal, halfway), 0.0), surface.shininess) * surface.specular;
-  vec3 light = sun + frame.ambient.rgb * (0.75 + 0.25 * normal.y);
+  vec3 ambient = frame.ambient.rgb * (0.75 + 0.25 * normal.y);
+  if (kHasHarmonics) {
+    vec3 n = normal;
+    ambient = frame.harmonics[0].rgb + frame.harmonics[1].rgb * n.y + frame.harmonics[2].rgb * n.z +
+              frame.harmonics[3].rgb * n.x + frame.harmonics[4].rgb * (n.x * n.y) +
+              frame.harmonics[5].rgb * (n.y * n.z) +
+              frame.harmonics[6].rgb * (3.0 * n.z * n.z - 1.0) +
+              frame.harmonics[7].rgb * (n.x * n.z) +
+              frame.harmonics[8].rgb * (n.x * n.x - n.y * n.y);
+    ambient = max(ambient, vec3(0.0));
+  }
+  vec3 light = sun + ambient;
   vec3 color = surface.color * light + sun * shine + surface.emission;
   // A hint of the sky on what is polished.
   vec3 mirrored = reflect(direction, normal);
   float grazing = 1.0 - max(-dot(direction, normal), 0.0);
   color += mix(frame.horizon.rgb, frame.zenith.rgb, clamp(mirrored.y, 0.0, 1.0)) *
            (min(surface.specular, 1.0) * (0.08 + 0.6 * grazing * grazing * grazing));
-  if (kHasLights) {
-    for (int i = 0; i < kMaxLights; ++i) {
-      vec3 to = frame.lights[2 * i].xyz - p;
+  if (kLights > 0u) {
+    for (int i = 0; i < int(kLights); ++i) {
+      vec3 to = frame.lights[5 * i].xyz - p;
       float square = dot(to, to);
-      float window = max(1.0 - square * frame.lights[2 * i].w, 0.0);
+      float window = max(1.0 - square * frame.lights[5 * i].w, 0.0);
       vec3 way = to * inversesqrt(square + 1e-6);
       float diffuse = max(dot(normal, way), 0.0) * window * window / (1.0 + square);
+      vec4 facing = frame.lights[5 * i + 2];
+      vec4 u = frame.lights[5 * i + 3];
+      vec3 v = frame.lights[5 * i + 4].xyz;
+      bool area = (kAreas >> i & 1u) != 0u;
+      if (area) {
+        // Glints are those of the rectangle's point that is nearest to the mirrored ray.
+        float behind = dot(facing.xyz, mirrored);
+        vec3 hit = mirrored * (dot(facing.xyz, to) / min(behind, -1e-3)) - to;
+        vec2 on = clamp(vec2(dot(hit, u.xyz) / dot(u.xyz, u.xyz), dot(hit, v) / dot(v, v)), -1.0, 1.0);
+        way = normalize(to + on.x * u.xyz + on.y * v);
+        diffuse = dot(facing.xyz, to) < 0.0 ? window * window * seen_rectangle(to, u.xyz, v, normal) : 0.0;
+      }
+      if ((kCones >> i & 1u) != 0u) {
+        float inside = clamp((-dot(facing.xyz, way) - facing.w) * u.w, 0.0, 1.0);
+        diffuse *= inside * inside;
+      }
+      if ((kShadows >> i & 1u) != 0u) {
+        uint lit = sky || !(diffuse > 1e-5) ? kNone : entry;
+        vec3 from = p + normal * bias;
+        // A point's own, or four of a rectangle, whose half sides are 0 for a point.
+        int rays = area ? 4 : 1;
+        float seen = 0.0;
+        for (int k = 0; k < rays; ++k) {
+          vec2 side = vec2(k & 1, k >> 1) - 0.5;
+          seen += lamplight(from, to - normal * bias + side.x * u.xyz + side.y * v, lit);
+        }
+        diffuse *= seen / float(rays);
+      }
       float glint = pow(max(dot(normal, normalize(way - direction)), 0.0), surface.shininess);
-      color += frame.lights[2 * i + 1].rgb * diffuse * (surface.color + glint * surface.specular);
+      color += frame.lights[5 * i + 1].rgb * diffuse * (surface.color + glint * surface.specular);
     }
   }
   float clear = exp(-frame.horizon.w * reach * length(d));

@@ -89,6 +89,25 @@ class Fields {
     return result;
   }
 
+  /// `rows` lists of `columns` numbers, one after the other.
+  Result<std::vector<double>> matrix(const char* key, size_t rows, size_t columns, double low,
+                                     double high) const {
+    const std::string expected = fmt::format("a list of {} lists of {} numbers", rows, columns);
+    if (!has(key)) return missing(key, expected);
+    const Json& value = (*json_)[key];
+    if (!value.is_array() || value.size() != rows) return wrong(key, value, expected);
+    std::vector<double> result;
+    for (size_t r = 0; r < rows; ++r) {
+      if (!value[r].is_array() || value[r].size() != columns) return wrong(key, value[r], expected);
+      for (size_t c = 0; c < columns; ++c) {
+        SHALE_TRY(const double item,
+                  as_number(value[r][c], fmt::format("\"{}\"[{}][{}]", key, r, c), low, high));
+        result.push_back(item);
+      }
+    }
+    return result;
+  }
+
   Result<Vec3> vec3(const char* key, double low, double high,
                     std::optional<Vec3> absent = {}) const {
     if (!has(key) && absent) return *absent;

@@ -48,6 +48,18 @@ std::span<const CameraKey> run_of_keys(const SceneCamera& camera, double frame) 
   return all.subspan(first, end - first);
 }
 
+/// In [0, 1), from a seed and a whole number.
+double random_at(uint32_t seed, double index) {
+  return scene_hash(seed, static_cast<uint32_t>(static_cast<int64_t>(index))) * 0x1p-32;
+}
+
+/// Smooth noise in [0, 1).
+double noise(uint32_t seed, double at) {
+  const double cell = std::floor(at), part = at - cell;
+  const double s = part * part * (3 - 2 * part);
+  return random_at(seed, cell) * (1 - s) + random_at(seed, cell + 1) * s;
+}
+
 Affine moved(const SceneNode& node, double frame) {
   const Animation& a = node.animation;
   Affine result;
@@ -90,10 +102,51 @@ CameraPose camera_pose(const SceneCamera& camera, double frame) {
   return pose;
 }
 
-bool is_camera_cut(const SceneCamera& camera, uint32_t frame) {
+bool is_camera_cut(const SceneCamera& camera, double frame, double step) {
   return std::any_of(camera.path.begin(), camera.path.end(), [&](const CameraKey& key) {
-    return key.cut && key.frame == static_cast<double>(frame);
+    return key.cut && key.frame > frame - step && key.frame <= frame;
   });
+}
+
+Vec3 signal_value(const Scene& scene, int signal, double frame, uint32_t variant) {
+  if (signal == kSteady) return {1, 1, 1};
+  const Signal& s = scene.signals[static_cast<size_t>(signal)];
+  const uint32_t seed = variant == 0 ? s.seed : scene_hash(s.seed, variant);
+  const double phase = variant * 0x1p-32;
+  Vec3 value{1, 1, 1};
+  if (!s.path.empty()) {
+    const double at = s.repeat > 0 ? frame - std::floor(frame / s.repeat) * s.repeat : frame;
+    if (s.between == Signal::Between::kStep) {
+      for (const SignalKey& key : s.path)
+        if (key.frame <= at || &key == s.path.data()) value = key.value;
+    } else {
+      value = track(std::span<const SignalKey>(s.path), at, s.between == Signal::Between::kSmooth,
+                    [](const SignalKey& key) { return key.value; });
+    }
+  }
+  double factor = 1;
+  if (s.flicker_amount > 0)
+    factor *= 1 - s.flicker_amount *
+                      (2 * noise(seed, frame / s.flicker_period) +
+                       noise(~seed, 2.7 * frame / s.flicker_period)) /
+                      3;
+  if (s.wave_amount > 0)
+    factor *= 1 - s.wave_amount * 0.5 *
+                      (1 - std::cos(kTwoPi * (frame / s.wave_period + s.wave_phase + phase)));
+  value = value * factor;
+  // A smooth path may swing below 0.
+  value = {std::max(value.x, 0.0), std::max(value.y, 0.0), std::max(value.z, 0.0)};
+  if (s.blink_period > 0) {
+    const double turns = frame / s.blink_period + s.blink_phase + phase;
+    const double drawn =
+        s.blink_random ? random_at(seed, std::floor(turns)) : turns - std::floor(turns);
+    if (drawn >= s.blink_on) value = value * s.blink_off;
+  }
+  return value;
+}
+
+double exposure_at(const Scene& scene, double frame) {
+  return scene.exposure * signal_value(scene, scene.exposure_signal, frame).x;
 }
 
 Vec3 sun_direction(const Sun& sun, double frame) {

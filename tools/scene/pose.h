@@ -17,8 +17,15 @@ struct CameraPose {
 /// cut have no influence behind it.
 CameraPose camera_pose(const SceneCamera& camera, double frame);
 
-/// True if a key at this very frame is a cut.
-bool is_camera_cut(const SceneCamera& camera, uint32_t frame);
+/// True if a key of a cut lies behind `frame - step` and not behind `frame`.
+bool is_camera_cut(const SceneCamera& camera, double frame, double step = 1);
+
+/// The factor of one of the scene's signals, 1 for kSteady. With a `variant` other than 0 it has
+/// phases and noise of its own.
+Vec3 signal_value(const Scene& scene, int signal, double frame, uint32_t variant = 0);
+
+/// Exposure at a frame.
+double exposure_at(const Scene& scene, double frame);
 
 /// Towards the sun; a unit vector.
 Vec3 sun_direction(const Sun& sun, double frame);

@@ -198,13 +198,31 @@ class SceneRenderer::Impl {
           return scene.materials[p.material].cutout != CutoutKind::kNone &&
                  (p.shape == PrimitiveShape::kSphere || p.shape == PrimitiveShape::kCylinder);
         });
-    const std::array<uint32_t, 7> features{patterns,
-                                           cutouts,
-                                           round_cutouts,
-                                           !scene.emitters.empty(),
-                                           static_cast<uint32_t>(scene.overlays.size()),
-                                           !scene.lights.empty(),
-                                           scene.sky.clouds > 0 || scene.sky.stars > 0};
+    uint32_t shadows = 0, areas = 0, cones = 0;
+    for (uint32_t i = 0; i < scene.lights.size(); ++i) {
+      const Light& light = scene.lights[i];
+      shadows |= (light.casts_shadow ? 1u : 0u) << i;
+      areas |= (light.size_x > 0 ? 1u : 0u) << i;
+      cones |= (light.cone_outer > 0 ? 1u : 0u) << i;
+    }
+    const auto any_material = [&](const auto& has) {
+      return std::any_of(scene.materials.begin(), scene.materials.end(), has);
+    };
+    const std::array<uint32_t, 13> features{
+        patterns,
+        cutouts,
+        round_cutouts,
+        !scene.emitters.empty(),
+        static_cast<uint32_t>(scene.overlays.size()),
+        static_cast<uint32_t>(scene.lights.size()),
+        scene.sky.clouds > 0 || scene.sky.stars > 0,
+        shadows,
+        areas,
+        cones,
+        any_material([](const Material& m) { return m.signal != kSteady; }),
+        any_material(
+            [](const Material& m) { return m.scroll_x != 0 || m.scroll_y != 0 || m.change > 0; }),
+        scene.sky.harmonics.has_value()};
     std::array<VkSpecializationMapEntry, features.size()> entries{};
     for (uint32_t i = 0; i < entries.size(); ++i)
       entries[i] = {i, i * static_cast<uint32_t>(sizeof(uint32_t)), sizeof(uint32_t)};

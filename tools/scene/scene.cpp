@@ -72,7 +72,7 @@ Result<SceneCamera> parse_camera(const Fields& fields) {
 }
 
 Result<Sun> parse_sun(const Fields& fields) {
-  SHALE_TRY_VOID(fields.only({"direction", "path", "color", "disc"}));
+  SHALE_TRY_VOID(fields.only({"direction", "path", "color", "disc", "signal"}));
   Sun sun;
   SHALE_TRY(const std::vector<Fields> keys, fields.list("path", kMaxKeys));
   std::vector<double> frames;
@@ -96,7 +96,8 @@ Result<Sun> parse_sun(const Fields& fields) {
 }
 
 Result<Sky> parse_sky(const Fields& fields) {
-  SHALE_TRY_VOID(fields.only({"zenith", "horizon", "ground", "clouds", "stars", "fog", "ambient"}));
+  SHALE_TRY_VOID(fields.only(
+      {"zenith", "horizon", "ground", "clouds", "stars", "fog", "ambient", "harmonics", "signal"}));
   Sky sky;
   SHALE_TRY(sky.zenith, fields.vec3("zenith", 0, kBright, sky.zenith));
   SHALE_TRY(sky.horizon, fields.vec3("horizon", 0, kBright, sky.horizon));
@@ -105,13 +106,20 @@ Result<Sky> parse_sky(const Fields& fields) {
   SHALE_TRY(sky.stars, fields.number("stars", 0, kBright, 0.0));
   SHALE_TRY(sky.fog, fields.number("fog", 0, 10, 0.0));
   SHALE_TRY(sky.ambient, fields.vec3("ambient", 0, kBright, sky.ambient));
+  if (fields.has("harmonics")) {
+    SHALE_TRY(const std::vector<double> all, fields.matrix("harmonics", 9, 3, -kBright, kBright));
+    sky.harmonics.emplace();
+    for (size_t i = 0; i < 9; ++i)
+      (*sky.harmonics)[i] = {all[3 * i], all[3 * i + 1], all[3 * i + 2]};
+  }
   return sky;
 }
 
 Result<Material> parse_material(const std::string& name, const Fields& fields) {
   SHALE_TRY_VOID(fields.only({"pattern", "color", "color_b", "emission", "emission_b", "cell",
                               "width", "variation", "grain", "grain_size", "instance_variation",
-                              "specular", "shininess", "cutout", "cutout_cell", "cutout_amount"}));
+                              "specular", "shininess", "cutout", "cutout_cell", "cutout_amount",
+                              "signal", "scroll", "change"}));
   Material m;
   m.name = name;
   SHALE_TRY(const uint32_t pattern,
@@ -142,6 +150,12 @@ Result<Material> parse_material(const std::string& name, const Fields& fields) {
   m.cutout = static_cast<CutoutKind>(cutout);
   SHALE_TRY(m.cutout_cell, fields.number("cutout_cell", 1e-4, kFar, m.cutout_cell));
   SHALE_TRY(m.cutout_amount, fields.number("cutout_amount", 0, 1, m.cutout_amount));
+  if (fields.has("scroll")) {
+    SHALE_TRY(const std::vector<double> scroll, fields.numbers("scroll", 2, -100, 100));
+    m.scroll_x = scroll[0];
+    m.scroll_y = scroll[1];
+  }
+  SHALE_TRY(m.change, fields.number("change", 0, 1e6, 0.0));
   return m;
 }
 
@@ -187,6 +201,56 @@ Result<Animation> parse_animation(const Fields& fields) {
   return a;
 }
 
+/// A number for all colours, or one for each.
+Result<Vec3> parse_value(const Fields& fields, const char* key, std::optional<Vec3> absent = {}) {
+  if (fields.has(key) && fields.json()[key].is_array()) return fields.vec3(key, 0, kBright);
+  if (!fields.has(key) && absent) return *absent;
+  SHALE_TRY(const double value, fields.number(key, 0, kBright));
+  return Vec3{value, value, value};
+}
+
+Result<Signal> parse_signal(const Fields& fields) {
+  SHALE_TRY_VOID(fields.only({"path", "interpolation", "repeat", "flicker", "wave", "blink"}));
+  Signal s;
+  SHALE_TRY(const uint32_t kind, fields.choice("interpolation", {"linear", "smooth", "step"}, 0));
+  s.between = static_cast<Signal::Between>(kind);
+  SHALE_TRY(const std::vector<Fields> keys, fields.list("path", kMaxKeys));
+  std::vector<double> frames;
+  for (const Fields& key : keys) {
+    SHALE_TRY_VOID(key.only({"frame", "value"}));
+    SignalKey parsed;
+    SHALE_TRY(parsed.frame, key.number("frame", 0, kMaxSceneFrames));
+    SHALE_TRY(parsed.value, parse_value(key, "value"));
+    frames.push_back(parsed.frame);
+    s.path.push_back(parsed);
+  }
+  SHALE_TRY_VOID(check_order(fields.where() + ".path", frames));
+  SHALE_TRY(s.repeat, fields.number("repeat", 0, kMaxSceneFrames, 0.0));
+  if (fields.has("flicker")) {
+    const Fields flicker = fields.child("flicker");
+    SHALE_TRY_VOID(flicker.only({"amount", "period"}));
+    SHALE_TRY(s.flicker_amount, flicker.number("amount", 0, 1));
+    SHALE_TRY(s.flicker_period, flicker.number("period", 0.1, 1e6, s.flicker_period));
+  }
+  if (fields.has("wave")) {
+    const Fields wave = fields.child("wave");
+    SHALE_TRY_VOID(wave.only({"amount", "period", "phase"}));
+    SHALE_TRY(s.wave_amount, wave.number("amount", 0, 1));
+    SHALE_TRY(s.wave_period, wave.number("period", 0.1, 1e6, s.wave_period));
+    SHALE_TRY(s.wave_phase, wave.number("phase", 0, 1, 0.0));
+  }
+  if (fields.has("blink")) {
+    const Fields blink = fields.child("blink");
+    SHALE_TRY_VOID(blink.only({"period", "on", "off", "phase", "random"}));
+    SHALE_TRY(s.blink_period, blink.number("period", 0.1, 1e6));
+    SHALE_TRY(s.blink_on, blink.number("on", 0, 1, s.blink_on));
+    SHALE_TRY(s.blink_off, parse_value(blink, "off", Vec3{}));
+    SHALE_TRY(s.blink_phase, blink.number("phase", 0, 1, 0.0));
+    SHALE_TRY(s.blink_random, blink.flag("random", false));
+  }
+  return s;
+}
+
 /// Turns the y axis to `direction`.
 Affine aimed(const Vec3& direction) {
   const Vec3 y = normalized(direction, {0, 1, 0});
@@ -207,7 +271,9 @@ class Parser {
       return bad_input(fields.where(), "found {} materials, expected at most {}",
                        fields.json().size(), kMaxMaterials);
     for (const auto& [name, json] : fields.json().items()) {
-      SHALE_TRY(Material material, parse_material(name, Fields(json, fields.where() + "." + name)));
+      const Fields own(json, fields.where() + "." + name);
+      SHALE_TRY(Material material, parse_material(name, own));
+      SHALE_TRY(material.signal, signal_of(own));
       materials_[name] = static_cast<uint32_t>(scene_.materials.size());
       scene_.materials.push_back(std::move(material));
     }
@@ -258,14 +324,58 @@ class Parser {
     return {};
   }
 
-  Result<void> parse_light(const Fields& fields) {
-    SHALE_TRY_VOID(fields.only({"at", "animate", "color", "range"}));
-    PointLight light;
-    SHALE_TRY(light.node, add_node(fields, 0, 0, false));
+  Result<void> parse_light(const Fields& fields, int parent, uint32_t seed, bool vary) {
+    SHALE_TRY_VOID(fields.only({"shape", "at", "rotate", "animate", "color", "range", "cone",
+                                "size", "shadow", "signal"}));
+    if (scene_.lights.size() >= kMaxLights)
+      return bad_input(fields.where(), "the scene has more than {} lights", kMaxLights);
+    Light light;
+    SHALE_TRY(light.node, add_node(fields, parent, seed, vary));
     SHALE_TRY(light.color, fields.vec3("color", 0, kBright, Vec3{1, 1, 1}));
     SHALE_TRY(light.range, fields.number("range", 0.01, kFar, 10.0));
+    if (fields.has("cone")) {
+      SHALE_TRY(const std::vector<double> cone, fields.numbers("cone", 2, 0, 179));
+      if (!(cone[1] > cone[0]))
+        return bad_input(fields.where(), "\"cone\" is {} to {}, expected a larger second angle",
+                         cone[0], cone[1]);
+      light.cone_inner = cone[0];
+      light.cone_outer = cone[1];
+    }
+    if (fields.has("size")) {
+      SHALE_TRY(const std::vector<double> size, fields.numbers("size", 2, 1e-3, kFar));
+      light.size_x = size[0];
+      light.size_z = size[1];
+    }
+    SHALE_TRY(light.casts_shadow, fields.flag("shadow", false));
+    SHALE_TRY(light.signal, signal_of(fields));
+    if (vary) light.variant = scene_hash(seed, 0x54) | 1;
     scene_.lights.push_back(light);
     return {};
+  }
+
+  Result<void> parse_signals(const Fields& fields) {
+    if (!fields.json().is_object() || fields.json().size() > kMaxSignals)
+      return bad_input(fields.where(), "found {}, expected an object of at most {} named signals",
+                       fields.json().type_name(), kMaxSignals);
+    for (const auto& [name, json] : fields.json().items()) {
+      const Fields own(json, fields.where() + "." + name);
+      SHALE_TRY(Signal signal, parse_signal(own));
+      const auto index = static_cast<uint32_t>(scene_.signals.size());
+      signal.seed = scene_hash(scene_.seed, 0x51600000u + index);
+      signals_[name] = static_cast<int>(index);
+      scene_.signals.push_back(std::move(signal));
+    }
+    return {};
+  }
+
+  /// The signal that the field `key` names; kSteady if it is absent.
+  Result<int> signal_of(const Fields& fields, const char* key = "signal") const {
+    if (!fields.has(key)) return kSteady;
+    SHALE_TRY(const std::string name, fields.text(key));
+    const auto known = signals_.find(name);
+    if (known == signals_.end())
+      return bad_input(fields.where(), "\"{}\" is \"{}\", which the scene has not", key, name);
+    return known->second;
   }
 
   Result<void> parse_overlay(const Fields& fields) {
@@ -374,8 +484,9 @@ class Parser {
   }
 
   Result<void> parse_shape(const Fields& fields, int parent, uint32_t seed, bool vary) {
-    SHALE_TRY(const uint32_t shape,
-              fields.choice("shape", {"sphere", "cylinder", "box", "quad", "plane", "wire"}));
+    SHALE_TRY(const uint32_t shape, fields.choice("shape", {"sphere", "cylinder", "box", "quad",
+                                                            "plane", "wire", "light"}));
+    if (shape == 6) return parse_light(fields, parent, seed, vary);
     Primitive primitive;
     primitive.seed = seed;
     SHALE_TRY(primitive.material, parse_material_name(fields, seed));
@@ -512,6 +623,7 @@ class Parser {
 
   Scene& scene_;
   std::map<std::string, uint32_t> materials_;
+  std::map<std::string, int> signals_;
   uint32_t particles_ = 0;
 };
 
@@ -530,8 +642,9 @@ Result<Scene> parse_scene(const std::string& text) {
   const nlohmann::json json = nlohmann::json::parse(text, nullptr, false, true);
   if (json.is_discarded()) return bad_input("", "is not valid JSON");
   const Fields root(json, "scene");
-  SHALE_TRY_VOID(root.only({"schema", "frames", "frame_rate", "seed", "exposure", "camera", "sun",
-                            "sky", "lights", "materials", "objects", "particles", "overlays"}));
+  SHALE_TRY_VOID(root.only({"schema", "frames", "frame_rate", "seed", "exposure", "exposure_signal",
+                            "camera", "sun", "sky", "signals", "lights", "materials", "objects",
+                            "particles", "overlays"}));
   SHALE_TRY(const std::string schema, root.text("schema"));
   if (schema != "shale-scene/1")
     return bad_input("scene", "\"schema\" is \"{}\", expected \"shale-scene/1\"", schema);
@@ -551,6 +664,12 @@ Result<Scene> parse_scene(const std::string& text) {
   }
   scene.nodes.push_back({});
   Parser parser(scene);
+  if (root.has("signals")) SHALE_TRY_VOID(parser.parse_signals(root.child("signals")));
+  SHALE_TRY(scene.exposure_signal, parser.signal_of(root, "exposure_signal"));
+  SHALE_TRY(scene.sun.signal, parser.signal_of(root.child("sun")));
+  if (root.has("sky")) {
+    SHALE_TRY(scene.sky.signal, parser.signal_of(root.child("sky")));
+  }
   if (root.has("materials")) SHALE_TRY_VOID(parser.parse_materials(root.child("materials")));
   SHALE_TRY(const std::vector<Fields> objects, root.list("objects", kMaxEntries));
   SHALE_TRY_VOID(parser.parse_objects(objects, 0, scene.seed, false, 0));
@@ -558,7 +677,7 @@ Result<Scene> parse_scene(const std::string& text) {
   for (size_t i = 0; i < emitters.size(); ++i)
     SHALE_TRY_VOID(parser.parse_emitter(emitters[i], static_cast<uint32_t>(i)));
   SHALE_TRY(const std::vector<Fields> lights, root.list("lights", kMaxLights));
-  for (const Fields& light : lights) SHALE_TRY_VOID(parser.parse_light(light));
+  for (const Fields& light : lights) SHALE_TRY_VOID(parser.parse_light(light, 0, 0, false));
   SHALE_TRY(const std::vector<Fields> overlays, root.list("overlays", kMaxOverlays));
   for (const Fields& overlay : overlays) SHALE_TRY_VOID(parser.parse_overlay(overlay));
   return scene;

@@ -1,6 +1,7 @@
 // tools/scene/scene.h -- what a scene file says, as plain data. The format is described in README.md.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -18,7 +19,31 @@ inline constexpr uint32_t kMaxPrimitives = 6000;
 inline constexpr uint32_t kMaxMaterials = 128;
 inline constexpr uint32_t kMaxParticles = 4096;
 inline constexpr uint32_t kMaxOverlays = 4;
-inline constexpr uint32_t kMaxLights = 4;
+inline constexpr uint32_t kMaxLights = 16;
+inline constexpr uint32_t kMaxSignals = 64;
+
+struct SignalKey {
+  double frame = 0;
+  Vec3 value;
+};
+
+/// A factor on light that changes with time: a function of the frame as a real number. What it is
+/// made of is multiplied.
+struct Signal {
+  enum class Between : uint32_t { kLinear, kSmooth, kStep };
+  std::vector<SignalKey> path;  ///< 1 if empty
+  Between between = Between::kLinear;
+  double repeat = 0;  ///< frames after which the path starts again; never if 0
+  double flicker_amount = 0, flicker_period = 4;             ///< noise; frames between its values
+  double wave_amount = 0, wave_period = 60, wave_phase = 0;  ///< a sine from 1 - amount to 1
+  double blink_period = 0, blink_on = 0.5, blink_phase = 0;  ///< on for a part of the period
+  Vec3 blink_off;                                            ///< the factor while it is off
+  bool blink_random = false;  ///< each period is on or off as a whole, drawn with chance `blink_on`
+  uint32_t seed = 0;
+};
+
+/// No signal: always 1.
+inline constexpr int kSteady = -1;
 
 struct CameraKey {
   double frame = 0;
@@ -45,6 +70,7 @@ struct Sun {
   std::vector<DirectionKey> path;  ///< towards the sun
   Vec3 color{3, 3, 3};
   double disc = 0;  ///< diameter in the sky, degrees
+  int signal = kSteady;
 };
 
 struct Sky {
@@ -53,12 +79,22 @@ struct Sky {
   double stars = 0;              ///< brightness
   double fog = 0;                ///< density per metre, towards the horizon's colour
   Vec3 ambient{0.4, 0.45, 0.5};  ///< light from above; half of it from below
+  /// Radiance of the surroundings as coefficients of real spherical harmonics, in order of (l, m)
+  /// from (0, 0) to (2, 2), with the polar axis z; instead of `ambient`.
+  std::optional<std::array<Vec3, 9>> harmonics;
+  int signal = kSteady;  ///< on all colours, that of fog too
 };
 
-struct PointLight {
-  Vec3 at, color;
+/// A point, or a rectangle of `size` that shines to one side: along -y of its node, as a cone does.
+struct Light {
+  Vec3 color;
   double range = 10;
+  double cone_inner = 0, cone_outer = 0;  ///< full angles in degrees; all around if 0
+  double size_x = 0, size_z = 0;          ///< metres; a point if 0
+  bool casts_shadow = false;
   int node = 0;  ///< moves with it
+  int signal = kSteady;
+  uint32_t variant = 0;  ///< of its signal, for copies
 };
 
 /// The numbers are those of the shader.
@@ -92,6 +128,9 @@ struct Material {
   CutoutKind cutout = CutoutKind::kNone;
   double cutout_cell = 0.3;    ///< metres
   double cutout_amount = 0.5;  ///< coverage of leaves, thickness of the rest as a part of the cell
+  int signal = kSteady;        ///< on what it emits
+  double scroll_x = 0, scroll_y = 0;  ///< metres per frame that the pattern moves over the surface
+  double change = 0;                  ///< frames after which the pattern is drawn anew; never if 0
 };
 
 struct PositionKey {
@@ -160,10 +199,12 @@ struct Scene {
   double frame_rate = 30;
   uint32_t seed = 0;
   double exposure = 1;
+  int exposure_signal = kSteady;
   SceneCamera camera;
   Sun sun;
   Sky sky;
-  std::vector<PointLight> lights;
+  std::vector<Signal> signals;
+  std::vector<Light> lights;
   std::vector<Material> materials;
   std::vector<SceneNode> nodes;
   std::vector<Primitive> primitives;

@@ -40,6 +40,16 @@ Result<std::pair<uint32_t, uint32_t>> render_pixels(const char* side, uint32_t f
 
 }  // namespace
 
+double frame_step(const Scene& scene, double frame_rate) {
+  return frame_rate > 0 ? scene.frame_rate / frame_rate : 1;
+}
+
+uint32_t frames_at_rate(const Scene& scene, double frame_rate) {
+  // A last frame that rounding takes away is one that the scene has.
+  const double last = (scene.frames - 1) / frame_step(scene, frame_rate) + 1e-9;
+  return static_cast<uint32_t>(std::min(last, double{kMaxSceneFrames})) + 1;
+}
+
 uint32_t jitter_phases(Extent render, Extent output) {
   const uint64_t phases =
       8ull * output.width * output.width / (uint64_t{render.width} * render.width);
@@ -72,9 +82,9 @@ Result<std::unique_ptr<SceneSource>> SceneSource::create(const vk::Context& cont
 }
 
 Result<void> SceneSource::set_clip(const SceneClip& clip) {
-  if (clip.first_frame >= scene_.frames)
-    return bad_input("first frame", "is {}, the scene has {} frames", clip.first_frame,
-                     scene_.frames);
+  const uint32_t all = frames_at_rate(scene_, options_.frame_rate);
+  if (clip.first_frame >= all)
+    return bad_input("first frame", "is {}, the scene has {} frames", clip.first_frame, all);
   const Extent &render = options_.render, &output = options_.output;
   const Crop crop = clip.crop.value_or(Crop{0, 0, output.width, output.height});
   SHALE_TRY(const auto x, render_pixels("x", crop.x, crop.width, render.width, output.width));
@@ -84,12 +94,13 @@ Result<void> SceneSource::set_clip(const SceneClip& clip) {
   render_x_ = x.first;
   render_y_ = y.first;
   first_frame_ = clip.first_frame;
-  const uint32_t left = scene_.frames - first_frame_;
+  const uint32_t left = all - first_frame_;
   frames_ = clip.frame_count == 0 ? left : std::min(left, clip.frame_count);
   return {};
 }
 
-FrameCamera SceneSource::camera(uint32_t scene_frame, const CameraPose& pose) const {
+FrameCamera SceneSource::camera(uint32_t number, const FramePoses& poses) const {
+  const CameraPose& pose = poses.camera;
   const Projection p = projection_of(scene_.camera, window_.full, reverse_);
   FrameCamera camera;
   // A crop stands for a picture of its size whose pixels are as wide as those of the whole one.
@@ -100,8 +111,8 @@ FrameCamera SceneSource::camera(uint32_t scene_frame, const CameraPose& pose) co
   camera.near_plane = static_cast<float>(scene_.camera.near_plane);
   camera.far_plane = static_cast<float>(scene_.camera.far_plane);
   camera.reverse_depth = reverse_;
-  camera.jitter = scene_jitter(scene_frame, options_.render, options_.output);
-  camera.exposure = static_cast<float>(scene_.exposure);
+  camera.jitter = scene_jitter(number, options_.render, options_.output);
+  camera.exposure = static_cast<float>(exposure_at(scene_, poses.frame));
   // Rows of clip space: x, y, then depth * w and w = view z. The window is moved to the middle and
   // widened to the whole clip space.
   const double middle_x = (window_.x + window_.size.width / 2.0) / window_.full.width * 2 - 1;
@@ -125,14 +136,15 @@ FrameCamera SceneSource::camera(uint32_t scene_frame, const CameraPose& pose) co
 Result<SourceFrame> SceneSource::frame(uint32_t index, bool with_truth) {
   if (index >= frames_)
     return bad_input(scene_.name, "frame {} is asked for, the sequence has {}", index, frames_);
-  const uint32_t scene_frame = first_frame_ + index;
-  const bool cut = index == 0 || is_camera_cut(scene_.camera, scene_frame);
-  const FramePoses poses = frame_poses(scene_, scene_frame, !cut);
+  const uint32_t number = first_frame_ + index;
+  const double step = frame_step(scene_, options_.frame_rate), scene_frame = number * step;
+  const bool cut = index == 0 || is_camera_cut(scene_.camera, scene_frame, step);
+  const FramePoses poses = frame_poses(scene_, scene_frame, !cut, step);
   SHALE_TRY(const FrameTables tables,
             frame_tables(scene_, poses, window_, reverse_, renderer_->max_texels()));
   SHALE_TRY_VOID(renderer_->set_frame(tables));
   SourceFrame frame;
-  frame.camera = camera(scene_frame, poses.camera);
+  frame.camera = camera(number, poses);
   frame.camera.cut = cut;
   SampleGrid grid;
   grid.extent = render_;

@@ -13,7 +13,7 @@ namespace shale {
 
 /// Which frames of a scene, and which part of its picture, are the sequence.
 struct SceneClip {
-  uint32_t first_frame = 0;  ///< of the scene; it is frame 0 of the sequence
+  uint32_t first_frame = 0;  ///< counted at the frame rate; it is frame 0 of the sequence
   uint32_t frame_count = 0;  ///< 0 is all from the first on; never more than the scene has
   /// Renders only this part, as if it were a whole picture: motion is in its own uv, the fields of
   /// view are those of a picture of its size with the same pixels. Its sides must fall on render
@@ -25,6 +25,7 @@ struct SceneOptions {
   Extent render{960, 540};
   Extent output{1920, 1080};
   SceneClip clip;
+  double frame_rate = 0;  ///< frames a second, at which everything moves as fast; 0 is the scene's
   std::optional<bool> reverse_depth;  ///< instead of what the scene says
   std::function<bool()> keep_going;   ///< asked between bands of rows; may be empty
   VkPipelineCache cache = VK_NULL_HANDLE;
@@ -34,6 +35,11 @@ struct SceneOptions {
 /// ratio of areas, on a grid of 1/8 pixel. Source: NSS, shared conventions.
 std::array<float, 2> scene_jitter(uint32_t frame, Extent render, Extent output);
 uint32_t jitter_phases(Extent render, Extent output);
+
+/// Frames of the scene from one rendered frame to the next, and how many are rendered, at
+/// `frame_rate`; 0 is the scene's own.
+double frame_step(const Scene& scene, double frame_rate);
+uint32_t frames_at_rate(const Scene& scene, double frame_rate);
 
 class SceneSource : public FrameSource {
  public:
@@ -57,7 +63,7 @@ class SceneSource : public FrameSource {
  private:
   SceneSource(Scene scene, SceneOptions options)
       : scene_(std::move(scene)), options_(std::move(options)) {}
-  FrameCamera camera(uint32_t scene_frame, const CameraPose& pose) const;
+  FrameCamera camera(uint32_t number, const FramePoses& poses) const;
 
   Scene scene_;
   SceneOptions options_;

@@ -4,6 +4,8 @@
 #include <bit>
 #include <limits>
 
+#include "tools/scene/bvh.h"
+
 namespace shale {
 namespace {
 
@@ -112,6 +114,7 @@ class Tables {
     add_primitives();
     add_materials();
     add_particles();
+    add_caster_tree();
     if (tables_.texels.size() > max_texels)
       return unsupported(scene_.name, "needs {} texels, the device binds {}", tables_.texels.size(),
                          max_texels);
@@ -178,19 +181,14 @@ class Tables {
     b.sky_was[2] = float4(was.forward, 0);
     const Vec3 sun = sun_direction(scene_.sun, poses_.frame);
     b.sun = float4(sun, std::cos(scene_.sun.disc / 2 * kDegrees));
-    b.sun_color = float4(scene_.sun.color, scene_.sun.disc > 0 ? 8 : 0);
-    b.zenith = float4(scene_.sky.zenith, scene_.sky.clouds);
-    b.horizon = float4(scene_.sky.horizon, scene_.sky.fog);
-    b.ground = float4(scene_.sky.ground, scene_.sky.stars);
-    b.ambient = float4(scene_.sky.ambient, scene_.exposure);
-    for (size_t i = 0; i < kMaxLights; ++i) {
-      b.lights[2 * i] = b.lights[2 * i + 1] = {};
-      if (i >= scene_.lights.size()) continue;
-      const PointLight& light = scene_.lights[i];
-      const Vec3 at = poses_.nodes[static_cast<size_t>(light.node)].at - c.eye;
-      b.lights[2 * i] = float4(at, 1 / (light.range * light.range));
-      b.lights[2 * i + 1] = float4(light.color, 0);
-    }
+    b.sun_color = float4(scene_.sun.color * signal(scene_.sun.signal), scene_.sun.disc > 0 ? 8 : 0);
+    const Vec3 sky = signal(scene_.sky.signal);
+    b.zenith = float4(scene_.sky.zenith * sky, scene_.sky.clouds);
+    b.horizon = float4(scene_.sky.horizon * sky, scene_.sky.fog);
+    b.ground = float4(scene_.sky.ground * sky, scene_.sky.stars);
+    b.ambient = float4(scene_.sky.ambient * sky, exposure_at(scene_, poses_.frame));
+    fill_lights();
+    fill_harmonics(sky);
     for (Float4& value : b.overlays) value = {};
     for (size_t i = 0; i < scene_.overlays.size(); ++i) {
       const Overlay& o = scene_.overlays[i];
@@ -207,6 +205,38 @@ class Tables {
                number(scene_hash(scene_.seed, 0x60000000u + static_cast<uint32_t>(i)) >> 8), 0};
     }
     b.bases = {0, 0, 0, same_view() ? 1 : 0};
+  }
+
+  Vec3 signal(int index, uint32_t variant = 0) const {
+    return signal_value(scene_, index, poses_.frame, variant);
+  }
+
+  void fill_lights() {
+    std::fill(std::begin(tables_.block.lights), std::end(tables_.block.lights), Float4{});
+    for (size_t i = 0; i < scene_.lights.size(); ++i) {
+      const Light& light = scene_.lights[i];
+      const Affine& pose = poses_.nodes[static_cast<size_t>(light.node)];
+      const double outer = std::cos(light.cone_outer / 2 * kDegrees);
+      const double inner = std::cos(light.cone_inner / 2 * kDegrees);
+      Float4* at = &tables_.block.lights[5 * i];
+      at[0] = float4(pose.at - poses_.camera.eye, 1 / (light.range * light.range));
+      at[1] = float4(light.color * signal(light.signal, light.variant), 0);
+      at[2] = float4(normalized(pose.y * -1, {0, -1, 0}), outer);
+      at[3] = float4(pose.x * (light.size_x / 2), inner > outer ? 1 / (inner - outer) : 0);
+      at[4] = float4(pose.z * (light.size_z / 2), 0);
+    }
+  }
+
+  /// Source: Ramamoorthi and Hanrahan, An Efficient Representation for Irradiance Environment Maps,
+  /// 2001; the factors of the bands are 1, 2/3 and 1/4 of pi, which the reflection divides away.
+  void fill_harmonics(const Vec3& sky) {
+    if (!scene_.sky.harmonics) return;
+    constexpr double kFactors[9]{
+        0.28209479177387814,        0.4886025119029199 * 2 / 3, 0.4886025119029199 * 2 / 3,
+        0.4886025119029199 * 2 / 3, 1.0925484305920792 / 4,     1.0925484305920792 / 4,
+        0.31539156525252005 / 4,    1.0925484305920792 / 4,     0.5462742152960396 / 4};
+    for (size_t i = 0; i < 9; ++i)
+      tables_.block.harmonics[i] = float4((*scene_.sky.harmonics)[i] * sky * kFactors[i], 0);
   }
 
   bool same_view() const { return poses_.camera == poses_.camera_was; }
@@ -262,7 +292,12 @@ class Tables {
       tables_.texels.push_back({static_cast<float>(m.variation), static_cast<float>(m.grain),
                                 static_cast<float>(1 / m.grain_size),
                                 static_cast<float>(m.specular)});
-      tables_.texels.push_back({static_cast<float>(m.shininess), 0, 0, 0});
+      const double drawn = m.change > 0 ? std::floor(poses_.frame / m.change) : 0;
+      tables_.texels.push_back(
+          {static_cast<float>(m.shininess), static_cast<float>(m.scroll_x * poses_.frame),
+           static_cast<float>(m.scroll_y * poses_.frame),
+           number(m.change > 0 ? scene_hash(scene_.seed, static_cast<uint32_t>(drawn)) >> 8 : 0)});
+      tables_.texels.push_back(float4(signal(m.signal), 0));
     }
   }
 
@@ -288,6 +323,55 @@ class Tables {
     }
     std::stable_sort(particles_.begin(), particles_.end(),
                      [](const SeenParticle& a, const SeenParticle& b) { return a.z > b.z; });
+  }
+
+  /// A tree of what casts shadows, for rays to lights that have some. A node is two texels: box, and
+  /// where its part of the tree ends, negative at the end; the entry of a leaf's primitive, else
+  /// negative.
+  void add_caster_tree() {
+    tables_.block.bases[2] = static_cast<int32_t>(tables_.texels.size());
+    if (std::none_of(scene_.lights.begin(), scene_.lights.end(),
+                     [](const Light& light) { return light.casts_shadow; }))
+      return;
+    std::vector<Box> boxes;
+    std::vector<uint32_t> indices;
+    for (uint32_t i = 0; i < scene_.primitives.size(); ++i) {
+      if (!scene_.primitives[i].casts_shadow) continue;
+      boxes.push_back(box_of(posed_[i].corners));
+      indices.push_back(i);
+    }
+    const Bvh tree = build_bvh(boxes, 1);
+    for (const BvhNode& node : tree.nodes) {
+      const Box& b = node.box;
+      const bool last = node.next == tree.nodes.size();
+      tables_.texels.push_back({b.low[0], b.low[1], b.low[2], last ? -1 : number(node.next)});
+      tables_.texels.push_back({b.high[0], b.high[1], b.high[2], -1});
+      if (node.count == 0) continue;
+      const uint32_t index = indices[tree.order[node.first]];
+      const Primitive& primitive = scene_.primitives[index];
+      tables_.texels.back()[3] =
+          number(entry_bits(index, primitive, scene_.materials[primitive.material]));
+    }
+    // An empty tree: a box that nothing meets.
+    if (tree.nodes.empty()) {
+      tables_.texels.push_back({1, 1, 1, -1});
+      tables_.texels.push_back({-1, -1, -1, -1});
+    }
+  }
+
+  /// Slightly larger, since the device computes in float.
+  static Box box_of(const Corners& corners) {
+    Box box;
+    for (uint32_t k = 0; k < corners.count; ++k) {
+      const Vec3& p = corners.at[k];
+      const double at[3]{p.x, p.y, p.z};
+      for (size_t a = 0; a < 3; ++a) {
+        const double more = 1e-4 + 1e-6 * std::abs(at[a]);
+        box.low[a] = std::min(box.low[a], static_cast<float>(at[a] - more));
+        box.high[a] = std::max(box.high[a], static_cast<float>(at[a] + more));
+      }
+    }
+    return box;
   }
 
   void see_primitives() {
@@ -433,7 +517,7 @@ class Tables {
   const Window window_;
   const bool reverse_;
   const Projection projection_;
-  FrameTables tables_;
+  FrameTables tables_{};
   size_t most_entries_ = 0;
   std::vector<Posed> posed_;
   std::vector<Seen> seen_;
@@ -530,13 +614,13 @@ Projection projection_of(const SceneCamera& camera, Extent full, bool reverse_de
   return p;
 }
 
-FramePoses frame_poses(const Scene& scene, double frame, bool continued) {
+FramePoses frame_poses(const Scene& scene, double frame, bool continued, double step) {
   FramePoses poses;
   poses.frame = frame;
   poses.camera = camera_pose(scene.camera, frame);
   poses.nodes = node_poses(scene, frame);
-  poses.camera_was = continued ? camera_pose(scene.camera, frame - 1) : poses.camera;
-  poses.nodes_was = continued ? node_poses(scene, frame - 1) : poses.nodes;
+  poses.camera_was = continued ? camera_pose(scene.camera, frame - step) : poses.camera;
+  poses.nodes_was = continued ? node_poses(scene, frame - step) : poses.nodes;
   return poses;
 }
 

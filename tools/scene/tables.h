@@ -44,13 +44,16 @@ struct FrameBlock {
   Float4 ambient;     ///< w: exposure
   Float4 grid_u;      ///< position to column of the shadow grid; offset in w
   Float4 grid_v;
-  Float4 lights[2 * kMaxLights];  ///< position, 1 / range^2; colour
+  /// Position, 1 / range^2; colour; direction, cosine of the outer cone; half sides of a rectangle,
+  /// with 1 / the difference of the cones' cosines.
+  Float4 lights[5 * kMaxLights];
+  Float4 harmonics[9];  ///< what a white surface reflects, by powers of its normal
   Float4 overlays
       [4 *
        kMaxOverlays];  ///< rectangle in uv; colour, rows; background, opacity; scroll, aspect, seed
   Int4 grid;           ///< columns, rows, first texel of the table
   Int4 tiles;  ///< columns, rows, first texel of the table, log2 of the side in output pixels
-  Int4 bases;  ///< first texel of materials and of particles; unused; 1 if the view stands still
+  Int4 bases;  ///< first texel of materials, particles and tree; 1 if the view stands still
 };
 
 static_assert(sizeof(FrameBlock) % sizeof(Float4) == 0);
@@ -63,7 +66,7 @@ struct FrameTables {
 
 /// Texels of a primitive and of a material, as the shader has them.
 inline constexpr uint32_t kPrimitiveTexels = 9;
-inline constexpr uint32_t kMaterialTexels = 5;
+inline constexpr uint32_t kMaterialTexels = 6;
 
 /// A frame and the one it came from.
 struct FramePoses {
@@ -72,8 +75,9 @@ struct FramePoses {
   std::vector<Affine> nodes, nodes_was;
 };
 
-/// With `continued` false the frame before is taken to be the same as this one.
-FramePoses frame_poses(const Scene& scene, double frame, bool continued);
+/// With `continued` false the frame before, which is `step` earlier, is taken to be the same as this
+/// one.
+FramePoses frame_poses(const Scene& scene, double frame, bool continued, double step = 1);
 
 /// Errors: kUnsupported if the lists take more than `max_texels` even with the largest tiles.
 Result<FrameTables> frame_tables(const Scene& scene, const FramePoses& poses, const Window& window,

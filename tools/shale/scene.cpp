@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 struct Arguments {
   std::vector<std::string> scenes, crops;
   std::string output, render = "960x540", size;
-  double ratio = 2;
+  double ratio = 2, frame_rate = 0;
   uint32_t first = 0, frames = 0;
   uint32_t random_crops = 0, crop_size = 256, clip_length = 16, seed = 1, number = 0;
   bool png = false, reverse_depth = false, no_truth = false, json = false;
@@ -50,7 +50,8 @@ Result<std::vector<SceneClip>> clips_of(const Arguments& arguments, const Scene&
     clips.push_back({arguments.first, arguments.frames, crop});
   }
   if (arguments.random_crops > 0) {
-    const uint32_t length = std::min(arguments.clip_length, scene.frames);
+    const uint32_t frames = frames_at_rate(scene, arguments.frame_rate);
+    const uint32_t length = std::min(arguments.clip_length, frames);
     const uint32_t step_x = output.width / std::gcd(render.width, output.width);
     const uint32_t step_y = output.height / std::gcd(render.height, output.height);
     const uint32_t width = arguments.crop_size / step_x * step_x;
@@ -65,7 +66,7 @@ Result<std::vector<SceneClip>> clips_of(const Arguments& arguments, const Scene&
     };
     for (uint32_t i = 0; i < arguments.random_crops; ++i) {
       SceneClip clip;
-      clip.first_frame = random(scene.frames - length + 1);
+      clip.first_frame = random(frames - length + 1);
       clip.frame_count = length;
       const uint32_t x = random((output.width - width) / step_x + 1) * step_x;
       const uint32_t y = random((output.height - height) / step_y + 1) * step_y;
@@ -121,6 +122,7 @@ Result<int> run(const Arguments& arguments) {
       options.render = render;
       options.output = output;
       options.clip = clips[0];
+      options.frame_rate = arguments.frame_rate;
       options.keep_going = [] { return !interrupted(); };
       options.cache = device.cache();
       if (arguments.reverse_depth) options.reverse_depth = true;
@@ -135,7 +137,8 @@ Result<int> run(const Arguments& arguments) {
         info.number = number;
         info.render = source.render_size();
         info.output = source.output_size();
-        info.frame_rate = source.scene().frame_rate;
+        info.frame_rate =
+            arguments.frame_rate > 0 ? arguments.frame_rate : source.scene().frame_rate;
         info.jitter_phases = jitter_phases(render, output);
         info.ratio = arguments.size.empty() ? arguments.ratio : ratio_of_sizes(render, output);
         SHALE_TRY(DatasetWriter writer, DatasetWriter::create(arguments.output, info));
@@ -196,6 +199,9 @@ Action add_scene(CLI::App& app) {
       ->excludes(ratio);
   app.add_option("--frames", arguments->frames, "number of frames (default: all)");
   app.add_option("--first", arguments->first, "first frame of the scene");
+  app.add_option("--frame-rate", arguments->frame_rate,
+                 "frames a second; what moves is as fast as at the scene's own rate")
+      ->check(number_in(1, 1000));
   app.add_option("--crop", arguments->crops,
                  "X,Y,WIDTH,HEIGHT of the output that is the picture (again for more sequences)")
       ->allow_extra_args(false);

@@ -44,6 +44,7 @@ GROUPS = (
     Group(15, 40, ("city", "courtyard", "forest"), (0, 32, 64), 280),
     Group(100, 24, ("gears", "interior", "night", "wires"), (0, 32), 280),
     Group(200, 20, ("control_room", "fountain", "market", "meadow", "shadows"), (0, 32), 280),
+    Group(300, 24, ("cellar", "night_office", "signs", "flyers"), (0, 32, 64), 100),
 )
 
 
