@@ -496,3 +496,20 @@ def load_model(path) -> tuple[Nss, dict]:
     except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
         raise ValueError(f"{path}: not weights of an NSS network ({type(error).__name__})") from None
     return model.eval(), record
+
+
+def load_average(paths: list) -> tuple[Nss, dict]:
+    """The mean of networks that started from the same weights, and a record that holds theirs. One path: that network.
+
+    Errors: ValueError, OSError.
+    """
+    models, records = zip(*(load_model(path) for path in paths))
+    if len(models) == 1:
+        return models[0], records[0]
+    if len({(model.mode.name, *sorted(model.ranges)) for model in models}) > 1:
+        raise ValueError(f"{paths[0]}: not the same kind of network as the others")
+    states, mean = [model.state_dict() for model in models], models[0]
+    mean.load_state_dict({name: sum(state[name] for state in states) / len(states) for name in states[0]})
+    mean.ranges = {name: tuple(sum(model.ranges[name][end] for model in models) / len(models) for end in (0, 1))
+                   for name in mean.ranges}
+    return mean, {"mode": mean.mode.name, "averaged": list(records)}

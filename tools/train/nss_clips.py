@@ -2,7 +2,7 @@
 """Renders the clips that the NSS networks are trained on: crops of 1920x1080 pictures, ratios 1.33 to 3.
 
 `GROUPS` are crops of the scenes as they are, at ratio 2. `Varied` clips change a scene before it is rendered: cameras
-that rest, pan or slide, lamps that swing in the dark, a sun that races, flat skies, things that fly through, particles.
+that rest, pan or slide, lamps that swing and blink in the dark, a sun that races, flat skies, things that fly through, particles.
 What a clip was drawn from is a function of its number; its scene lies beside it as OUT/scenes/NNNN.json. Clips start
 where the jitter of their ratio does (or 32 frames on), so that batches find others with the same. Needs the program
 `shale`.
@@ -134,11 +134,12 @@ def _light(rng: random.Random, scene: dict, first: int, view: View) -> None:
     if kind < 0.3:
         dim = _log(rng, 0.01, 0.2)
         sun["color"] = [c * dim for c in sun.get("color", [3, 3, 3])]
+        sky.pop("harmonics", None)
         for name, default in (("zenith", 0.3), ("horizon", 0.6), ("ground", 0.2), ("ambient", 0.3)):
             sky[name] = [c * dim for c in sky.get(name, [default] * 3)]
         scene["exposure"] = scene.get("exposure", 1.0) * rng.uniform(1.0, 3.0)
-        scene["lights"] = []
-        for _ in range(rng.randint(1, 4)):
+        scene["lights"], signals = [], scene.setdefault("signals", {})
+        for index in range(rng.randint(1, 4)):
             place = _moved(view.eye, (view.reach * rng.uniform(0.2, 1.1), view.ahead),
                            (view.reach * rng.uniform(-0.4, 0.4), view.right), (rng.uniform(0, 2.5), [0, 1, 0]))
             size = view.reach * _log(rng, 0.05, 0.4)
@@ -147,6 +148,12 @@ def _light(rng: random.Random, scene: dict, first: int, view: View) -> None:
                 "at": place, "color": [rng.uniform(0.5, 1) ** 3 * 14 for _ in range(3)],
                 "range": view.reach * rng.uniform(0.4, 1.2),
                 "animate": {"bob": {"offset": swing, "period": round(_log(rng, 5, 60))}}})
+            if rng.random() < 0.5:
+                signals[f"lamp{index}"] = rng.choice((
+                    {"blink": {"period": rng.randint(4, 30), "off": rng.choice((0, 0.1, 0.5)), "random": True}},
+                    {"flicker": {"amount": rng.uniform(0.3, 1), "period": rng.randint(2, 8)}},
+                    {"wave": {"amount": rng.uniform(0.3, 1), "period": rng.randint(6, 40)}}))
+                scene["lights"][-1]["signal"] = f"lamp{index}"
     elif kind < 0.45:
         rate, start, height = _log(rng, 0.004, 0.12) * rng.choice((-1, 1)), rng.uniform(0, 6.3), rng.uniform(0.4, 1.2)
         sun.pop("direction", None)

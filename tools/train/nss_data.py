@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -133,7 +134,7 @@ def load_clips(root: Path, cache: Path | None = None, report=lambda line: None) 
     out = [clips[name] for name in names]
     if cache is not None and missing:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_suffix(".tmp")
+        temporary = cache.with_suffix(f".{os.getpid()}")
         torch.save(out, temporary)
         temporary.replace(cache)
     return out

@@ -4,7 +4,7 @@
 One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
 every CHUNK frames (the state goes on, its gradient does not). With --qat the activation ranges are measured first and
 then held while the INT8 arithmetic is faked. Sequences are a function of (seed, step), so a resumed run continues with
-the same bits, given the same machine and thread count, and no --minutes, which ends the run and its rate by the clock. AdamW, cosine rate, 5 % warm-up.
+the same bits, given the same machine, thread count and clips, and no --minutes, which ends the run and its rate by the clock. AdamW, cosine rate, 5 % warm-up.
 
 Loss per frame, on display pictures d(x) = sqrt(x / (1 + x)) of exposed colour, E = d(prediction) - d(truth), ' of the
 frame before, moved to where it is now: w L_S + (1 - w) stability L_T + 0.1 mean|E of the filtered colour| (0.5 on a
@@ -230,14 +230,14 @@ def calibrate(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Name
     model.calibrated()
 
 
-def start_weights(model: nss.Nss, path: Path) -> str:
-    """Takes over the weights of another run, of this or another mode; returns what it was."""
-    first, _ = nss.load_model(path)
+def start_weights(model: nss.Nss, paths: list[Path]) -> dict:
+    """Takes over the weights of another run, of this or another mode, or the mean of several; returns its record."""
+    first, record = nss.load_average(paths)
     weights = first.state_dict()
     if first.mode.name == "v1_high" and model.mode.name == "v1_low":
         weights = nss.central_kernel(weights)
     model.load_state_dict(nss.shared_layers(model, weights))
-    return first.mode.name
+    return record
 
 
 def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print, stop_after: int | None = None) -> dict:
@@ -258,15 +258,16 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     if options.resume:
         state = load_checkpoint(path)
         for key, value in record.items():
-            if key not in ("seconds", "done", "starts_from", "earlier") and state["record"].get(key) != value:
+            if key not in ("seconds", "done", "starts_from", "earlier", "clips") and state["record"].get(key) != value:
                 raise ValueError(f"{path}: checkpoint has {key} {state['record'].get(key)}, the run asks {value}")
         model.load_state_dict(state["model"])
         optimizer.load_state_dict(state["optimizer"])
-        model.ranges, record, start = state["ranges"], state["record"], state["step"]
+        model.ranges, start = state["ranges"], state["step"]
+        record = state["record"] | {"clips": record["clips"]}  # a data set may grow
     else:
         if options.init:
-            record["starts_from"] = start_weights(model, options.init)
-            earlier = nss.load_model(options.init)[1]
+            earlier = start_weights(model, options.init)
+            record["starts_from"] = earlier.get("mode", "weights without a record")
             record["earlier"] = earlier.get("earlier", []) + [{k: v for k, v in earlier.items() if k != "earlier"}]
         if options.qat:
             calibrate(model, clips, options)
@@ -336,7 +337,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name, (default, what) in WEIGHTS.items():
         parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
     parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
-    parser.add_argument("--init", type=Path, help="checkpoint or weights to start from, of any mode")
+    parser.add_argument("--init", type=Path, nargs="+", metavar="FILE",
+                        help="checkpoint or weights to start from, of any mode; the mean of several")
     parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
     parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
     parser.add_argument("--every", type=int, default=10, help="steps between checkpoints (default: 10)")

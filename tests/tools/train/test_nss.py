@@ -413,8 +413,9 @@ class Training(unittest.TestCase):
                 try:
                     init = None
                     if qat:
-                        init = Path(folder) / "first.npz"
-                        nss.save_weights(init, nss.Nss(passes.MODES["v1_high"]), {})
+                        init = [Path(folder) / f"{name}.npz" for name in "ab"]
+                        for path in init:
+                            nss.save_weights(path, nss.Nss(passes.MODES["v1_high"]), {})
                     options = self.options(folder, mode=mode, qat=qat, init=init)
                     lines = []
                     whole = train_nss.train(options, clips, lines.append)
@@ -429,6 +430,22 @@ class Training(unittest.TestCase):
                         train_nss.train(options, clips, lines.append)
                 finally:
                     train_nss.CALIBRATION_SEQUENCES = kept
+
+    def test_means_of_networks(self):
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [Path(folder) / f"{k}.npz" for k in range(3)]
+            models = [nss.Nss(passes.MODES[name]) for name in ("v1_low", "v1_low", "v1_high")]
+            for k, (path, model) in enumerate(zip(paths, models)):
+                model.ranges = {"conv0": (0.0, 1.0 + k)}
+                nss.save_weights(path, model, {"seed": k})
+            mean, record = nss.load_average(paths[:2])
+            for name, value in mean.state_dict().items():
+                wanted = (models[0].state_dict()[name] + models[1].state_dict()[name]) / 2
+                torch.testing.assert_close(value, wanted, msg=name)
+            self.assertEqual(mean.ranges["conv0"], (0.0, 1.5))
+            self.assertEqual([r["seed"] for r in record["averaged"]], [0, 1])
+            with self.assertRaisesRegex(ValueError, "not the same kind"):
+                nss.load_average(paths)
 
     def test_a_few_steps_help(self):
         clips = [make_clip(k) for k in range(2)]
