@@ -26,6 +26,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+import fused
 import nss
 import nss_data
 import nss_passes as passes
@@ -135,9 +136,9 @@ class Network:
 
     def __call__(self, frame: passes.Frame, cut: bool, output: tuple[int, int]) -> torch.Tensor:
         state = None if cut else self.state
-        before = passes.pre(self.mode, frame, state)
+        before = fused.pre(self.mode, frame, state)
         outputs = self.run(before.input)
-        after = passes.post(self.mode, frame, before, outputs, state, output)
+        after = fused.post(self.mode, frame, before, outputs, state, output)
         self.state = passes.next_state(frame, before, outputs, after, half=True)
         self.last = {"pre": before, "outputs": outputs, "post": after}
         return self.state.history
@@ -207,7 +208,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--clips", nargs="+", help="clip names (default: all)")
     parser.add_argument("--first", type=int, default=0, help="first frame (default: 0)")
     parser.add_argument("--frames", type=int, help="frames per clip (default: all)")
-    parser.add_argument("--ratio", default="x2", help="folder of the rendered pictures (default: x2)")
+    parser.add_argument("--ratio", help="folder of the rendered pictures (default: x2, else the first)")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--ssim", action="store_true", help="SSIM, too (slow)")
     parser.add_argument("--out", type=Path, help="JSON file (default: standard output)")

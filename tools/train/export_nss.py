@@ -40,9 +40,9 @@ def golden_input(rows: int = GOLDEN_SIZE, columns: int = GOLDEN_SIZE) -> torch.T
     return torch.from_numpy(codes.astype(np.int8))[None]
 
 
-def export(weights: Path, out: Path) -> nss.Int8Nss:
+def export(weights: list[Path], out: Path) -> nss.Int8Nss:
     """Writes the model folder. Errors: ValueError, OSError."""
-    model, record = nss.load_model(weights)
+    model, record = nss.load_average(weights)
     network = nss.to_int8(model)
     (out / "golden").mkdir(parents=True, exist_ok=True)
     nss.save_weights(out / "weights.npz", model, record)
@@ -66,7 +66,8 @@ def main(arguments: list[str] | None = None) -> int:
         description="Writes model.tosa, weights.npz and golden vectors of a trained NSS network.",
         epilog="example: python3 tools/train/export_nss.py --weights build/train/high/last.pt --out models/nss_v1_high",
     )
-    parser.add_argument("--weights", type=Path, required=True, help="checkpoint (.pt) or weights (.npz), with ranges")
+    parser.add_argument("--weights", type=Path, required=True, nargs="+", metavar="FILE",
+                        help="checkpoint (.pt) or weights (.npz), with ranges; the mean of several")
     parser.add_argument("--out", type=Path, required=True, help="model folder")
     options = parser.parse_args(arguments)
     try:

@@ -472,7 +472,7 @@ def tensor_scales(model: Nss, network: Int8Nss) -> dict[str, dict[str, precision
 
 def save_weights(path, model: Nss, record: dict) -> None:
     """Weights, ranges and training record as .npz; the same model gives the same bytes."""
-    arrays = {name: value.numpy() for name, value in model.state_dict().items()}
+    arrays = {name: value.cpu().numpy() for name, value in model.state_dict().items()}
     text = json.dumps({**record, "mode": model.mode.name, "ranges": model.ranges}, sort_keys=True)
     np.savez(path, record=np.frombuffer(text.encode(), np.uint8), **arrays)
 
@@ -486,7 +486,7 @@ def load_model(path) -> tuple[Nss, dict]:
                 weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
             ranges = record.pop("ranges")
         else:
-            state = torch.load(path, map_location="cpu")
+            state = torch.load(path, map_location="cpu", weights_only=False)
             record, weights, ranges = state["record"], state["model"], state["ranges"]
         model = Nss(MODES[record["mode"]])
         model.load_state_dict(weights)
@@ -496,3 +496,20 @@ def load_model(path) -> tuple[Nss, dict]:
     except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
         raise ValueError(f"{path}: not weights of an NSS network ({type(error).__name__})") from None
     return model.eval(), record
+
+
+def load_average(paths: list) -> tuple[Nss, dict]:
+    """The mean of networks that started from the same weights, and a record that holds theirs. One path: that network.
+
+    Errors: ValueError, OSError.
+    """
+    models, records = zip(*(load_model(path) for path in paths))
+    if len(models) == 1:
+        return models[0], records[0]
+    if len({(model.mode.name, *sorted(model.ranges)) for model in models}) > 1:
+        raise ValueError(f"{paths[0]}: not the same kind of network as the others")
+    states, mean = [model.state_dict() for model in models], models[0]
+    mean.load_state_dict({name: sum(state[name] for state in states) / len(states) for name in states[0]})
+    mean.ranges = {name: tuple(sum(model.ranges[name][end] for model in models) / len(models) for end in (0, 1))
+                   for name in mean.ranges}
+    return mean, {"mode": mean.mode.name, "averaged": list(records)}

@@ -1,14 +1,17 @@
 """Clips for NSS: the data set on disk, a cache of it, random crops, augmentation.
 
 A data set is a folder with NNNN.json per clip and ground_truth/, motion_gt/, x2/color/, x2/depth/, x2/motion/ with
-NNNN/FFFF.exr (section 5 of the NSS notes; names of our exporter). Motion is forward uv motion (prev = uv - m), clamped
-to +-1; Jitter is in render pixels; Exposure is linear.
+NNNN/FFFF.exr (section 5 of the NSS notes; names of our exporter; other ratios in x1_5 and the like). Motion is forward
+uv motion (prev = uv - m), clamped to +-1; Jitter is in render pixels; Exposure is linear.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import os
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +72,17 @@ def _picture(path: Path, names: tuple[str, ...], kind) -> np.ndarray:
     return np.stack(out)
 
 
-def load_clip(root: Path, name: str, count: int | None = None, ratio: str = "x2", first: int = 0) -> Clip:
-    """Reads a clip. Errors: OSError, ValueError naming the file."""
+def ratio_folder(root: Path, name: str) -> str:
+    """Folder of the rendered pictures of a clip. Errors: ValueError when there is none."""
+    found = sorted(path.parent.parent.name for path in root.glob(f"x*/color/{name}"))
+    if not found:
+        raise ValueError(f"{root}: no pictures of clip {name} in x*/color/{name}")
+    return "x2" if "x2" in found else found[0]
+
+
+def load_clip(root: Path, name: str, count: int | None = None, ratio: str | None = None, first: int = 0) -> Clip:
+    """Reads a clip; ratio: folder of its pictures (default: x2, else the first). Errors: OSError, ValueError."""
+    ratio = ratio or ratio_folder(root, name)
     path = root / f"{name}.json"
     try:
         sequence = json.loads(path.read_text())
@@ -110,19 +122,22 @@ def clip_names(root: Path) -> list[str]:
 
 
 def load_clips(root: Path, cache: Path | None = None, report=lambda line: None) -> list[Clip]:
-    """All clips of a data set; `cache` keeps them in one file, which is used when it exists."""
-    if cache is not None and cache.exists():
-        return torch.load(cache)
-    clips = []
-    for name in clip_names(root):
+    """All clips of a data set; `cache` keeps them in one file, and only what it lacks is read."""
+    names = clip_names(root)
+    # A pickle of our own making: current PyTorch has to be told.
+    kept = torch.load(cache, weights_only=False) if cache is not None and cache.exists() else []
+    clips = {clip.name: clip for clip in kept}
+    missing = [name for name in names if name not in clips]
+    for name in missing:
         report(f"reading clip {name}")
-        clips.append(load_clip(root, name))
-    if cache is not None:
+        clips[name] = load_clip(root, name)
+    out = [clips[name] for name in names]
+    if cache is not None and missing:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_suffix(".tmp")
-        torch.save(clips, temporary)
+        temporary = cache.with_suffix(f".{os.getpid()}")
+        torch.save(out, temporary)
         temporary.replace(cache)
-    return clips
+    return out
 
 
 @dataclass(frozen=True)
@@ -152,58 +167,164 @@ class Augmentation:
         return (y, x) if self.swap else (x, y)
 
 
+#: Lights that `Light` adds up.
+LIGHTS = 2
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light that changes where nothing moves: factors on colour and truth alike, the sum of discs with soft rims.
+
+    Arrays per batch entry and light: centre and velocity (uv, uv per frame) `[n, k, 2]`, radius and rim (uv)
+    `[n, k]`, strength, the natural logarithm of the factor per colour and frame, `[n, k, 3, t]`. A disc far away is a
+    straight edge, a huge one lights everything.
+    """
+
+    centre: torch.Tensor
+    velocity: torch.Tensor
+    radius: torch.Tensor
+    rim: torch.Tensor
+    strength: torch.Tensor
+
+    @staticmethod
+    def draw(rng: np.random.Generator, batch: int, frames: int, pixel: float) -> Light:
+        """Lamps that switch, flicker, pulse and wander, each alone or over everything. pixel: of the truth, in uv."""
+        shape = (batch, LIGHTS)
+        radius, centre = rng.uniform(0.1, 0.6, shape), rng.uniform(0.0, 1.0, (*shape, 2))
+        far = rng.random(shape) < 0.35
+        angle = rng.uniform(0, 2 * math.pi, shape)
+        away = np.stack([np.cos(angle), np.sin(angle)], 2) * 20.0
+        centre = np.where(far[..., None], 0.5 + away, centre)
+        radius = np.where(far, 20.0 + rng.uniform(-0.5, 0.5, shape), radius)
+        radius = np.where(rng.random(shape) < 0.25, 100.0, radius)
+        speed = np.exp(rng.uniform(math.log(0.002), math.log(0.15), shape)) * (rng.random(shape) < 0.6)
+        turn = rng.uniform(0, 2 * math.pi, shape)
+        rim = np.exp(rng.uniform(math.log(pixel), math.log(0.3), shape))
+        t = np.arange(frames)
+        waves = np.zeros((*shape, frames))
+        for where in np.ndindex(*shape):
+            kind, period, phase = rng.integers(5), rng.uniform(3, 40), rng.uniform(0, 1)
+            if kind == 0:  # stays, so that only its place changes
+                waves[where] = 1.0
+            elif kind == 1:  # is switched once
+                waves[where] = t >= rng.integers(1, frames)
+            elif kind == 2:
+                waves[where] = (t / period + phase) % 1.0 < 0.5
+            elif kind == 3:
+                waves[where] = 0.5 + 0.5 * np.sin(2 * math.pi * (t / period + phase))
+            else:  # flickers
+                waves[where] = rng.random(frames)
+        colour = rng.uniform(-1.8, 1.8, (*shape, 1)) + rng.uniform(-0.5, 0.5, (*shape, 3))
+        tensors = (centre, np.stack([np.cos(turn) * speed, np.sin(turn) * speed], 2), radius, rim,
+                   colour[..., None] * waves[:, :, None])
+        return Light(*(torch.from_numpy(np.asarray(part)).float() for part in tensors))
+
+    def gain(self, t: int, w: int, h: int, shift: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
+        """`[n, 3, h, w]` at the texel centres plus `shift` texels."""
+        x, y = (torch.arange(w) + 0.5 + shift[0]) / w, (torch.arange(h) + 0.5 + shift[1]) / h
+        total = 0.0
+        for k in range(LIGHTS):
+            cx, cy = (self.centre[:, k] + t * self.velocity[:, k]).view(-1, 2, 1, 1).unbind(1)
+            distance = torch.sqrt((x - cx) ** 2 + (y[:, None] - cy) ** 2)
+            inside = torch.sigmoid((self.radius[:, k].view(-1, 1, 1) - distance) / self.rim[:, k].view(-1, 1, 1))
+            total = total + self.strength[:, k, :, max(t, 0), None, None] * inside[:, None]
+        return total.exp()
+
+
 class Sequence:
-    """A batch of crops through the same frames of several clips. full: (w, h) of the whole picture behind them."""
+    """A batch of crops through frames of several clips.
 
-    def __init__(self, clips: list[Clip], start: int, corners: list[tuple[int, int]], crop: int, ratio: int,
-                 augmentation: Augmentation, gain: torch.Tensor, device: str = "cpu",
-                 full: tuple[int, int] | None = None):
+    starts: first frame of each clip; crop: side in render pixels; ratio: output over render size; gain: on the exposure
+    `[n, 1, 1, t]`; full: (w, h) of the whole picture behind the crops; known: whether the frame before the first one
+    exists and its truth is the history of the first.
+    """
+
+    def __init__(self, clips: list[Clip], starts: list[int], corners: list[tuple[int, int]], crop: int,
+                 ratio: Fraction, augmentation: Augmentation, gain: torch.Tensor, device: str = "cpu",
+                 full: tuple[int, int] | None = None, light: Light | None = None, known: bool = False):
         self.full = full or clips[0].render
-        self.clips, self.start, self.corners, self.crop, self.ratio = clips, start, corners, crop, ratio
-        self.augmentation, self.gain, self.device = augmentation, gain, device
+        self.clips, self.starts, self.corners, self.crop, self.ratio = clips, starts, corners, crop, ratio
+        self.augmentation, self.gain, self.device, self.light, self.known = augmentation, gain, device, light, known
 
-    def _crops(self, key: str, t: int, scale: int) -> torch.Tensor:
-        size = self.crop * scale
+    def _crops(self, key: str, t: int, scale: Fraction) -> torch.Tensor:
+        size = int(self.crop * scale)
         return torch.stack([
-            getattr(clip, key)[self.start + t, :, y * scale : y * scale + size, x * scale : x * scale + size]
-            for clip, (x, y) in zip(self.clips, self.corners)
+            getattr(clip, key)[start + t, :, int(y * scale) : int(y * scale) + size,
+                               int(x * scale) : int(x * scale) + size]
+            for clip, start, (x, y) in zip(self.clips, self.starts, self.corners)
         ]).float()
 
-    def _vectors(self, key: str, t: int, scale: int) -> torch.Tensor:
+    def _colours(self, key: str, t: int, scale: Fraction, shift: tuple[float, float]) -> torch.Tensor:
+        colours = self._crops(key, t, scale)
+        if self.light is not None:
+            colours *= self.light.gain(t, colours.shape[3], colours.shape[2], shift)
+        colours = self.augmentation.picture(colours)[:, list(self.augmentation.channels)].contiguous()
+        return passes.sanitise(colours.to(self.device))
+
+    def _vectors(self, key: str, t: int, scale: Fraction) -> torch.Tensor:
         # uv of the clip to uv of the crop
         factor = torch.tensor([[clip.render[0] / self.crop, clip.render[1] / self.crop] for clip in self.clips])
         return self.augmentation.vector(self._crops(key, t, scale) * factor.view(-1, 2, 1, 1)).to(self.device)
 
     def frame(self, t: int) -> passes.Frame:
         """Frame t of the batch."""
-        a, at = self.augmentation, self.start + t
-        exposure = torch.tensor([clip.exposure[at] for clip in self.clips]).view(-1, 1, 1, 1) * self.gain
-        full = self.full
-        camera = torch.tensor([[*clip.camera[at][:2], clip.camera[at][2] * full[0] / clip.render[0],
-                                clip.camera[at][3] * full[1] / clip.render[1]] for clip in self.clips])
+        a, starts, full = self.augmentation, self.starts, self.full
+        exposure = torch.tensor([clip.exposure[s + t] for clip, s in zip(self.clips, starts)]).view(-1, 1, 1, 1)
+        exposure = exposure * self.gain[..., max(t, 0), None]
+        camera = torch.tensor([[*clip.camera[s + t][:2], clip.camera[s + t][2] * full[0] / clip.render[0],
+                                clip.camera[s + t][3] * full[1] / clip.render[1]]
+                               for clip, s in zip(self.clips, starts)])
         if a.swap:
             camera, full = camera[:, [0, 1, 3, 2]], (full[1], full[0])
+        jitter = self.clips[0].jitter[starts[0] + t]
         return passes.Frame(
-            passes.sanitise(a.picture(self._crops("colour", t, 1))[:, list(a.channels)].contiguous()).to(self.device),
-            a.picture(self._crops("depth", t, 1)).contiguous().to(self.device), self._vectors("motion", t, 1),
-            a.jitter(self.clips[0].jitter[at]), exposure.to(self.device), camera.to(self.device),
-            self.clips[0].reverse, full)
+            self._colours("colour", t, Fraction(1), jitter), a.picture(self._crops("depth", t, 1)).contiguous().to(
+                self.device), self._vectors("motion", t, Fraction(1)), a.jitter(jitter), exposure.to(self.device),
+            camera.to(self.device), self.clips[0].reverse, full)
 
     def truth(self, t: int) -> torch.Tensor:
         """Ground truth, linear `[n, 3, H, W]`."""
-        a = self.augmentation
-        return passes.sanitise(a.picture(self._crops("truth", t, self.ratio))[:, list(a.channels)]).to(self.device)
+        return self._colours("truth", t, self.ratio, (0.0, 0.0))
 
     def truth_motion(self, t: int) -> torch.Tensor:
         """uv motion at output size."""
         return self._vectors("truth_motion", t, self.ratio)
 
 
+def crop_size(clip: Clip, crop: int) -> tuple[int, Fraction]:
+    """Side in render pixels of a crop that shows what `crop` pixels show at ratio 2, and the ratio.
+
+    It is a multiple of 16 whose output has whole pixels. Errors: ValueError when the clip is too small or its ratio
+    differs between the axes.
+    """
+    ratio = Fraction(clip.output[0], clip.render[0])
+    step = math.lcm(16, ratio.denominator)
+    side = max(round(2 * crop / ratio / step), 1) * step
+    if ratio != Fraction(clip.output[1], clip.render[1]) or side > min(clip.render):
+        raise ValueError(f"clip {clip.name}: {clip.render} to {clip.output} does not fit crops of {side}")
+    return side, ratio
+
+
+#: Shares of the sequences with light that changes, with exposure that changes, and with the truth as first history.
+LIT, EXPOSED, KNOWN = 0.4, 0.2, 0.3
+
+
+def _gains(rng: np.random.Generator, batch: int, frames: int) -> torch.Tensor:
+    """Exposure factors `[n, 1, 1, t]`: +-0.75 stops, and for some a step or a drift of up to 2 stops."""
+    stops = np.repeat(rng.uniform(-0.75, 0.75, (batch, 1)), frames, 1)
+    for row in stops:
+        if rng.random() < EXPOSED:
+            at, lasts = rng.integers(1, frames), rng.choice((1, 4, 12))
+            row += rng.uniform(-2, 2) * np.clip((np.arange(frames) - at + 1) / lasts, 0, 1)
+    return torch.from_numpy(2.0**stops).float().view(batch, 1, 1, frames)
+
+
 def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, frames: int, augment: bool = True,
          device: str = "cpu", full: tuple[int, int] | None = None) -> Sequence:
     """A random sequence. All crops share the jitter of their frames, because the kernel tables do.
 
-    crop: side in render pixels. Errors: ValueError when no clip has `frames` frames without a cut.
+    crop: side in render pixels at ratio 2, see `crop_size`; full: (w, h) of the whole picture at ratio 2. Errors:
+    ValueError when no clip has `frames` frames without a cut.
     """
     for _ in range(1000):
         lead = clips[rng.integers(len(clips))]
@@ -214,20 +335,29 @@ def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, fra
             break
     else:
         raise ValueError(f"no clip has {frames} frames without a cut")
+    side, ratio = crop_size(lead, crop)
+    known = augment and rng.random() < KNOWN
     jitter = lead.jitter[start : start + frames]
-    fitting = [c for c in clips if c.jitter[start : start + frames] == jitter and c.render == lead.render
-               and c.output == lead.output and c.reverse == lead.reverse and not any(c.cut[start + 1 : start + frames])]
+    fitting = [(c, s) for c in clips if c.render == lead.render and c.output == lead.output
+               and c.reverse == lead.reverse for s in range(len(c.jitter) - frames + 1)
+               if c.jitter[s] == jitter[0] and c.jitter[s : s + frames] == jitter
+               and not any(c.cut[s + 1 : s + frames])]
     order = rng.permutation(len(fitting))
-    chosen = [fitting[order[i % len(fitting)]] for i in range(batch)]
-    ratio, rest = divmod(lead.output[0], lead.render[0])
-    if rest or lead.output[1] != ratio * lead.render[1] or crop > min(lead.render):
-        raise ValueError(f"clip {lead.name}: {lead.render} to {lead.output} does not fit crops of {crop}")
-    corners = [(int(rng.integers((lead.render[0] - crop) // 4 + 1)) * 4,
-                int(rng.integers((lead.render[1] - crop) // 4 + 1)) * 4) for _ in chosen]
+    chosen, starts = zip(*(fitting[order[i % len(fitting)]] for i in range(batch)))
+    known = known and all(s > 0 and not c.cut[s] and c.jitter[s - 1] == lead.jitter[start - 1] and start > 0
+                          for c, s in zip(chosen, starts))
+    # Corners are whole pixels of both pictures, and keep the phase of 4x4 blocks.
+    step = math.lcm(4, ratio.denominator)
+    corners = [tuple(int(rng.integers((size - side) // step + 1)) * step for size in lead.render) for _ in chosen]
+    light = None
     if augment:
         flips = rng.random(3) < 0.5
         how = Augmentation(*(bool(f) for f in flips), tuple(int(i) for i in rng.permutation(3)))
-        gain = torch.from_numpy(2.0 ** rng.uniform(-0.75, 0.75, batch)).float().view(-1, 1, 1, 1)
+        gain = _gains(rng, batch, frames)
+        if rng.random() < LIT:
+            light = Light.draw(rng, batch, frames, 1.0 / float(side * ratio))
     else:
-        how, gain = Augmentation(), torch.ones(batch, 1, 1, 1)
-    return Sequence(chosen, start, corners, crop, ratio, how, gain, device, full)
+        how, gain = Augmentation(), torch.ones(batch, 1, 1, frames)
+    if full is not None:
+        full = tuple(round(2 * size / ratio) for size in full)
+    return Sequence(list(chosen), list(starts), corners, side, ratio, how, gain, device, full, light, known)

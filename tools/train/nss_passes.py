@@ -45,6 +45,7 @@ Gradients: through the network outputs, the history colours and the feedback; ev
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 
@@ -557,6 +558,7 @@ def _axis_cells(w: int, big: int, jitter: float, first: int,
     return tile, step, valid, closest
 
 
+@functools.lru_cache(maxsize=256)
 def tap_table(mode: Mode, render: tuple[int, int], output: tuple[int, int], jitter: tuple[float, float]) -> TapTable:
     """Which kernel channels meet a sample, exactly: sample l is in cell floor(((2l+1) 32768 + J) W / (w 65536)),
     J = floor(65536 j + 0.5). Candidates by growing dx^2 + dy^2, then dy, then dx; the first `max_taps` stay. Should

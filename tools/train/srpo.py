@@ -275,7 +275,7 @@ def load_model(path) -> tuple[Srpo, dict]:
                 record = json.loads(arrays["record"].tobytes())
                 weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
         else:
-            state = torch.load(path, map_location="cpu")
+            state = torch.load(path, map_location="cpu", weights_only=False)
             record, weights = state["record"], state["model"]
         model = Srpo(int(record["scale"]))
         model.load_state_dict(weights)

@@ -4,14 +4,19 @@
 One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
 every CHUNK frames (the state goes on, its gradient does not). With --qat the activation ranges are measured first and
 then held while the INT8 arithmetic is faked. Sequences are a function of (seed, step), so a resumed run continues with
-the same bits, given the same machine and thread count. AdamW, cosine rate, 5 % warm-up.
+the same bits, given the same machine, thread count and clips, and no --minutes, which ends the run and its rate by the clock. AdamW, cosine rate, 5 % warm-up.
 
-Loss per frame, on display pictures d(x) = sqrt(x / (1 + x)) of exposed colour, E = d(prediction) - d(truth):
-w L_S + (1 - w) stability L_T + 0.1 mean|E of the filtered colour| (0.5 on frame 0) + 0.002 mean (theta - 1)^2 where
-nothing is disoccluded; L_S = mean|E| + 4 mean E^2 + 0.25 (mean|dE/dx| + mean|dE/dy|);
-L_T = mean(exp(4 |E_t - warp(E_t-1)|) - 1) / 4 with E_t-1 held; w from .6 to .9 over the frames.
-Source: NSS notes 5. Ours: the gradient and square terms in place of LPIPS (no weights of it are at hand), the display
-curve, the smaller weights, the chunks.
+Loss per frame, on display pictures d(x) = sqrt(x / (1 + x)) of exposed colour, E = d(prediction) - d(truth), ' of the
+frame before, moved to where it is now: w L_S + (1 - w) stability L_T + 0.1 mean|E of the filtered colour| (0.5 on a
+reset) + 0.7 flicker + change C + 0.002 mean q (theta - 1)^2 + 0.0001 mean alpha^2, the last two where nothing is
+disoccluded.
+- L_S = mean|E| + 4 mean E^2 + 0.25 (mean|dE/dx| + mean|dE/dy|) + low mean|E over 8x8| + grid G, G the mean absolute
+  Haar components of E over 2x2 where the truth has none: what jitter leaves behind has this period at ratio 2
+- L_T = mean(exp(4 |E - E'|) - 1) / 4; w from .6 to .9 over the frames
+- flicker = mean of the smaller square of two differences of theta in a row that have opposite signs, both above .02
+- C = mean sqrt((q (p - p'))^2 + 1e-6) of predictions p; q = exp(-|truth - truth'| / .06): lag is no stability
+Source: NSS notes 5. Ours: L_S's terms in place of LPIPS (no weights of it are at hand), the display curve, the weights,
+q of the theta term, one past frame in C, the chunks.
 
 Examples:
   python3 tools/train/train_nss.py --mode v1_high --data build/train/nss_data --steps 1000 --out build/train/nss_high
@@ -34,13 +39,17 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+import fused
 import nss
 import nss_data
 import nss_passes as passes
 from train_srpo import Interruption, load_checkpoint, save_atomically
 
 CALIBRATION_SEQUENCES = 12
-#: Render size of the pictures that the crops are cut from; it decides the tolerance of the depth test.
+#: Weights of loss terms, options of the command line: default and what they weigh.
+WEIGHTS = {"stability": (1.0, "the temporal loss"), "low": (1.0, "errors of 8x8 means"),
+           "grid": (1.0, "2x2 patterns in smooth places"), "change": (0.1, "change where the truth has none")}
+#: Render size of the pictures that the crops are cut from, at ratio 2; it decides the tolerance of the depth test.
 FULL = (960, 540)
 
 
@@ -68,11 +77,22 @@ def frame_weight(t: int, frames: int, low: float = 0.6, high: float = 0.9) -> fl
     return high + (low - high) * (1 + math.cos(math.pi * t / max(frames - 1, 1))) / 2
 
 
+#: Haar patterns of a 2x2 block: differences along x, along y, and both.
+HAAR = (((1.0, -1.0), (1.0, -1.0)), ((1.0, 1.0), (-1.0, -1.0)), ((1.0, -1.0), (-1.0, 1.0)))
+
+
+def haar(x: torch.Tensor) -> torch.Tensor:
+    """`[n, c, h, w]` to its three differences of 2x2 blocks `[n, 3 c, h / 2, w / 2]`."""
+    c = x.shape[1]
+    filters = x.new_tensor(HAAR).div(4.0).repeat(c, 1, 1)[:, None]
+    return F.conv2d(x, filters, stride=2, groups=c)
+
+
 class _SpatialLoss(torch.autograd.Function):
     """Value and gradient in one go; autograd's slices cost more than the loss."""
 
     @staticmethod
-    def forward(ctx, error):
+    def forward(ctx, error, low, grid, smooth):
         dx = error[:, :, :, 1:] - error[:, :, :, :-1]
         dy = error[:, :, 1:] - error[:, :, :-1]
         value = error.abs().mean() + 4.0 * (error * error).mean() + 0.25 * (dx.abs().mean() + dy.abs().mean())
@@ -82,17 +102,39 @@ class _SpatialLoss(torch.autograd.Function):
         slope[:, :, :, :-1] -= sx
         slope[:, :, 1:] += sy
         slope[:, :, :-1] -= sy
+        pooled, block = F.avg_pool2d(error, 8), slope[:, :, : error.shape[2] // 8 * 8, : error.shape[3] // 8 * 8]
+        value += low * pooled.abs().mean()
+        block += F.interpolate(torch.sign(pooled).mul_(low / (64 * pooled.numel())), scale_factor=8)
+        parts = haar(error)
+        value += grid * (smooth * parts.abs()).mean()
+        c = error.shape[1]
+        filters = error.new_tensor(HAAR).div(4.0).repeat(c, 1, 1)[:, None]
+        part_slope = torch.sign(parts).mul_(smooth * (grid / parts.numel()))
+        slope += F.conv_transpose2d(part_slope, filters, stride=2, groups=c)
         ctx.save_for_backward(slope)
         return value
 
     @staticmethod
     def backward(ctx, gradient):
-        return ctx.saved_tensors[0] * gradient
+        return ctx.saved_tensors[0] * gradient, None, None, None
 
 
-def spatial_loss(error: torch.Tensor) -> torch.Tensor:
-    """L1, squares and gradients of a display-domain error."""
-    return _SpatialLoss.apply(error)
+def spatial_loss(error: torch.Tensor, wanted: torch.Tensor, low: float = 1.0, grid: float = 1.0) -> torch.Tensor:
+    """L_S of a display-domain error; its picture has an even number of pixels per axis."""
+    return _SpatialLoss.apply(error, low, grid, (haar(wanted).abs() < 0.01).float())
+
+
+def losses(output: torch.Tensor, filtered: torch.Tensor, truth: torch.Tensor, exposure: torch.Tensor, low: float,
+           grid: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """L_S, mean|E of the filtered colour|, E, and the display picture of the truth.
+
+    output, truth: linear `[n, 3, h, w]`; filtered: exposed; exposure `[n, 1, 1, 1]`.
+    """
+    if output.device.type == "cpu" and fused.available():
+        return fused.losses(output, filtered, truth, exposure, low, grid)
+    wanted = display(truth * exposure)
+    error = display(output * exposure) - wanted
+    return spatial_loss(error, wanted, low, grid), (display(filtered) - wanted).abs().mean(), error, wanted
 
 
 def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
@@ -102,40 +144,64 @@ def warp(image: torch.Tensor, motion: torch.Tensor) -> torch.Tensor:
 
 
 class Rollout:
-    """The network through the frames of a sequence."""
+    """The network through the frames of a sequence. options: the weights of the loss."""
 
-    def __init__(self, model: nss.Nss, sequence: nss_data.Sequence, frames: int, stability: float = 1.0):
-        self.model, self.sequence, self.frames, self.stability = model, sequence, frames, stability
+    def __init__(self, model: nss.Nss, sequence: nss_data.Sequence, options: argparse.Namespace):
+        self.model, self.sequence, self.options = model, sequence, options
         self.state: passes.State | None = None
-        self.error: torch.Tensor | None = None
+        # Of the frame before, held, in one tensor that is warped at once: error, truth, theta and its difference.
+        self.past: torch.Tensor | None = None
         self.squares: list[float] = []
+        if sequence.known:
+            self._start_from_truth()
+
+    def _start_from_truth(self) -> None:
+        """The frame before the first is known: its truth is the history, the network's memory is empty."""
+        with torch.no_grad():
+            frame, truth = self.sequence.frame(-1), self.sequence.truth(-1)
+            before = fused.pre(self.model.mode, frame, None)
+            feedback = before.input.new_zeros(len(truth), 4, *before.input.shape[2:])
+            self.state = passes.State(truth, feedback, before.memory, before.depth, frame.jitter)
+            wanted = display(truth * frame.exposure)
+            empty = torch.zeros_like(wanted[:, :1])
+            self.past = torch.cat([torch.zeros_like(wanted), wanted, empty + 1.0, empty], 1)
 
     def step(self, t: int) -> torch.Tensor:
         """Runs frame t and returns its loss."""
-        mode, frame = self.model.mode, self.sequence.frame(t)
+        mode, frame, options = self.model.mode, self.sequence.frame(t), self.options
         truth = self.sequence.truth(t)
         output = (truth.shape[3], truth.shape[2])
-        wanted = display(truth * frame.exposure)
-        before = passes.pre(mode, frame, self.state)
+        before = fused.pre(mode, frame, self.state)
         outputs = self.model(before.input)
-        after = passes.post(mode, frame, before, outputs, self.state, output)
-        error = display(after.output * frame.exposure) - wanted
-        loss = spatial_loss(error)
-        filtered = (display(after.filtered) - wanted).abs().mean()
+        after = fused.post(mode, frame, before, outputs, self.state, output)
+        loss, filtered, error, wanted = losses(after.output, after.filtered, truth, frame.exposure, options.low,
+                                               options.grid)
+        theta = after.theta
+        slope = torch.zeros_like(theta)
         if self.state is None:
             loss = loss + 0.5 * filtered
         else:
-            w = frame_weight(t, self.frames)
-            change = error - warp(self.error, self.sequence.truth_motion(t))
+            w = frame_weight(t, options.frames)
+            warped = warp(self.past, self.sequence.truth_motion(t))
+            old_error, old_wanted, old_theta, old_slope = warped.split((3, 3, 1, 1), 1)
+            change = error - old_error
             temporal = torch.expm1(4.0 * change.abs().clamp(max=1.0)).mean() / 4.0
-            loss = w * loss + self.stability * (1.0 - w) * temporal + 0.1 * filtered
+            loss = w * loss + options.stability * (1.0 - w) * temporal + 0.1 * filtered
+            with torch.no_grad():
+                turned = wanted - old_wanted
+                same = torch.exp(turned.abs().amax(1, keepdim=True) / -0.06)
+            steady = torch.sqrt((same * (change + turned)) ** 2 + 1e-6).mean() - 1e-3
+            slope = theta - old_theta
+            both = torch.minimum(slope.abs(), old_slope.abs())
+            flips = ((slope * old_slope < 0) & (both > 0.02)).float()
+            loss = loss + options.change * steady + 0.7 * (flips * both * both).mean()
             if mode.generation:
-                known = passes.bilinear((before.disocclusion < 0.01).float(),
-                                        passes.uv_grid(*output, error).expand(len(error), -1, -1, -1))
-                loss = loss + 0.002 * ((after.theta - 1.0) ** 2 * known).mean()
+                known = same * passes.bilinear((before.disocclusion < 0.01).float(),
+                                               passes.uv_grid(*output, error).expand(len(error), -1, -1, -1))
+                loss = loss + (known * (0.002 * (theta - 1.0) ** 2 + 0.0001 * after.alpha**2)).mean()
         self.state = passes.next_state(frame, before, outputs, after)
-        self.error = error.detach()
-        self.squares.append(float((self.error**2).mean()))
+        self.past = torch.cat([error.detach(), wanted, theta.detach(), slope.detach()], 1)
+        self.squares.append(float((error.detach() ** 2).mean()))
         return loss
 
     def detach(self) -> None:
@@ -158,20 +224,20 @@ def calibrate(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Name
         for index in range(CALIBRATION_SEQUENCES):
             rng = np.random.default_rng([options.seed, 10**9, index])
             rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                                   device=options.device, full=FULL), options.frames)
+                                                   device=options.device, full=FULL), options)
             for t in range(options.frames):
                 rollout.step(t)
     model.calibrated()
 
 
-def start_weights(model: nss.Nss, path: Path) -> str:
-    """Takes over the weights of another run, of this or another mode; returns what it was."""
-    first, _ = nss.load_model(path)
+def start_weights(model: nss.Nss, paths: list[Path]) -> dict:
+    """Takes over the weights of another run, of this or another mode, or the mean of several; returns its record."""
+    first, record = nss.load_average(paths)
     weights = first.state_dict()
     if first.mode.name == "v1_high" and model.mode.name == "v1_low":
         weights = nss.central_kernel(weights)
     model.load_state_dict(nss.shared_layers(model, weights))
-    return first.mode.name
+    return record
 
 
 def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print, stop_after: int | None = None) -> dict:
@@ -185,22 +251,23 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     model = model.to(memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in ("mode", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
-                                                     "qat", "stability")}
+                                                     "qat", "minutes", *WEIGHTS)}
     record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
     path, start = options.out / "last.pt", 0
     if options.resume:
         state = load_checkpoint(path)
         for key, value in record.items():
-            if key not in ("seconds", "done", "starts_from", "earlier") and state["record"].get(key) != value:
+            if key not in ("seconds", "done", "starts_from", "earlier", "clips") and state["record"].get(key) != value:
                 raise ValueError(f"{path}: checkpoint has {key} {state['record'].get(key)}, the run asks {value}")
         model.load_state_dict(state["model"])
         optimizer.load_state_dict(state["optimizer"])
-        model.ranges, record, start = state["ranges"], state["record"], state["step"]
+        model.ranges, start = state["ranges"], state["step"]
+        record = state["record"] | {"clips": record["clips"]}  # a data set may grow
     else:
         if options.init:
-            record["starts_from"] = start_weights(model, options.init)
-            earlier = nss.load_model(options.init)[1]
+            earlier = start_weights(model, options.init)
+            record["starts_from"] = earlier.get("mode", "weights without a record")
             record["earlier"] = earlier.get("earlier", []) + [{k: v for k, v in earlier.items() if k != "earlier"}]
         if options.qat:
             calibrate(model, clips, options)
@@ -208,21 +275,26 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
 
     spent, began, mean = record["seconds"], time.monotonic(), None
 
+    def elapsed() -> float:
+        return spent + time.monotonic() - began
+
     def state_at(step: int) -> dict:
-        record["seconds"], record["done"] = round(spent + time.monotonic() - began, 1), step
+        record["seconds"], record["done"] = round(elapsed(), 1), step
         return {"model": model.state_dict(), "optimizer": optimizer.state_dict(), "step": step, "record": record,
                 "ranges": model.ranges}
 
     step, end = start, options.steps if stop_after is None else min(stop_after, options.steps)
     with Interruption() as interruption:
-        while step < end and not interruption.asked:
+        while step < end and not interruption.asked and not (options.minutes and elapsed() > 60 * options.minutes):
             rng = np.random.default_rng([options.seed, step])
             rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                                   device=options.device, full=FULL), options.frames,
-                              options.stability)
+                                                   device=options.device, full=FULL), options)
             for first in range(0, options.frames, options.chunk):
+                done = step + first / options.frames
+                if options.minutes:
+                    done = max(done, options.steps * elapsed() / (60 * options.minutes))
                 for group in optimizer.param_groups:
-                    group["lr"] = learning_rate(options.lr, step + first / options.frames, options.steps)
+                    group["lr"] = learning_rate(options.lr, done, options.steps)
                 last = min(first + options.chunk, options.frames)
                 loss = sum(rollout.step(t) for t in range(first, last)) / (last - first)
                 optimizer.zero_grad()
@@ -256,14 +328,17 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--data", type=Path, required=True, help="data set folder; its cache is DATA/clips.pt")
     parser.add_argument("--steps", type=int, default=1000, help="sequences (default: 1000)")
     parser.add_argument("--batch", type=int, default=4, help="crops per sequence (default: 4)")
-    parser.add_argument("--crop", type=int, default=96, help="crop side in render pixels (default: 96)")
+    parser.add_argument("--crop", type=int, default=96, help="crop side in render pixels at ratio 2 (default: 96)")
     parser.add_argument("--frames", type=int, default=16, help="frames per sequence (default: 16)")
-    parser.add_argument("--chunk", type=int, default=4, help="frames per update of the weights (default: 4)")
+    parser.add_argument("--chunk", type=int, default=8, help="frames per update of the weights (default: 8)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lr", type=float, default=1e-3, help="highest learning rate (default: 0.001)")
     parser.add_argument("--qat", action="store_true", help="fake the INT8 arithmetic; needs --init")
-    parser.add_argument("--stability", type=float, default=1.0, help="factor on the temporal loss (default: 1)")
-    parser.add_argument("--init", type=Path, help="checkpoint or weights to start from, of any mode")
+    for name, (default, what) in WEIGHTS.items():
+        parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
+    parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
+    parser.add_argument("--init", type=Path, nargs="+", metavar="FILE",
+                        help="checkpoint or weights to start from, of any mode; the mean of several")
     parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
     parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
     parser.add_argument("--every", type=int, default=10, help="steps between checkpoints (default: 10)")
@@ -275,6 +350,11 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name, (low, high) in limits.items():
         if not low <= getattr(options, name) <= high:
             raise ValueError(f"--{name} must lie in {low} to {high}, found {getattr(options, name)}")
+    for name in WEIGHTS:
+        if not 0 <= getattr(options, name) <= 100:
+            raise ValueError(f"--{name} must lie in 0 to 100, found {getattr(options, name)}")
+    if not 0 <= options.minutes <= 10**5:
+        raise ValueError(f"--minutes must lie in 0 to 100000, found {options.minutes}")
     if not 0 < options.lr <= 1:
         raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
     if options.crop % 16:

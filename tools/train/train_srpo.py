@@ -77,7 +77,7 @@ def save_atomically(state: dict, path: Path) -> None:
 def load_checkpoint(path: Path) -> dict:
     """A checkpoint of an own run (a pickle). Errors: ValueError, OSError."""
     try:
-        state = torch.load(path, map_location="cpu")
+        state = torch.load(path, map_location="cpu", weights_only=False)
         if not {"model", "optimizer", "step", "record"} <= set(state):
             raise ValueError("fields are missing")
         return state

@@ -9,6 +9,7 @@ import tempfile
 import unittest
 import zlib
 from collections import Counter
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools" / "train"))
 import evaluate_nss  # noqa: E402
 import export_nss  # noqa: E402
 import exr  # noqa: E402
+import fused  # noqa: E402
 import nss  # noqa: E402
+import nss_clips  # noqa: E402
 import nss_data  # noqa: E402
+import nss_job  # noqa: E402
 import nss_passes as passes  # noqa: E402
 import quantize  # noqa: E402
 import train_nss  # noqa: E402
@@ -409,8 +413,9 @@ class Training(unittest.TestCase):
                 try:
                     init = None
                     if qat:
-                        init = Path(folder) / "first.npz"
-                        nss.save_weights(init, nss.Nss(passes.MODES["v1_high"]), {})
+                        init = [Path(folder) / f"{name}.npz" for name in "ab"]
+                        for path in init:
+                            nss.save_weights(path, nss.Nss(passes.MODES["v1_high"]), {})
                     options = self.options(folder, mode=mode, qat=qat, init=init)
                     lines = []
                     whole = train_nss.train(options, clips, lines.append)
@@ -425,6 +430,22 @@ class Training(unittest.TestCase):
                         train_nss.train(options, clips, lines.append)
                 finally:
                     train_nss.CALIBRATION_SEQUENCES = kept
+
+    def test_means_of_networks(self):
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [Path(folder) / f"{k}.npz" for k in range(3)]
+            models = [nss.Nss(passes.MODES[name]) for name in ("v1_low", "v1_low", "v1_high")]
+            for k, (path, model) in enumerate(zip(paths, models)):
+                model.ranges = {"conv0": (0.0, 1.0 + k)}
+                nss.save_weights(path, model, {"seed": k})
+            mean, record = nss.load_average(paths[:2])
+            for name, value in mean.state_dict().items():
+                wanted = (models[0].state_dict()[name] + models[1].state_dict()[name]) / 2
+                torch.testing.assert_close(value, wanted, msg=name)
+            self.assertEqual(mean.ranges["conv0"], (0.0, 1.5))
+            self.assertEqual([r["seed"] for r in record["averaged"]], [0, 1])
+            with self.assertRaisesRegex(ValueError, "not the same kind"):
+                nss.load_average(paths)
 
     def test_a_few_steps_help(self):
         clips = [make_clip(k) for k in range(2)]
@@ -444,7 +465,7 @@ class Training(unittest.TestCase):
         clip = make_clip(speed=(0.0, 0.0), frames=4)
         for flips in ((True, False, False), (False, True, True), (True, True, True)):
             how = nss_data.Augmentation(*flips)
-            sequence = nss_data.Sequence([clip], 0, [(0, 0)], 32, 2, how, torch.ones(1, 1, 1, 1))
+            sequence = nss_data.Sequence([clip], [0], [(0, 0)], 32, Fraction(2), how, torch.ones(1, 1, 1, 4))
             frame, truth = sequence.frame(1), sequence.truth(1)
             uv = passes.uv_grid(64, 64, truth)
             right = passes.bilinear(frame.colour, uv - passes._jitter_uv(frame, frame.jitter))
@@ -455,6 +476,187 @@ class Training(unittest.TestCase):
         for extra in (["--crop", "40"], ["--lr", "2"], ["--qat"], ["--batch", "0"]):
             with self.assertRaises(ValueError):
                 train_nss.parse(["--mode", "v1_high", "--data", "x", "--out", "y", *extra])
+
+
+def busy_frame(w: int, h: int, reverse: bool) -> passes.Frame:
+    """Two pictures with lamps, motion in all directions, a near part before sky."""
+    frame = frame_of(torch.rand(2, 3, h, w) * 3)
+    frame.colour[:, :, 3:8, 3:9] *= 300
+    frame.depth = 0.9 + 0.09 * torch.rand(2, 1, h, w)
+    frame.depth[:, :, 10:] = 1.0
+    if reverse:
+        frame.depth, frame.reverse = 1 - frame.depth, True
+        frame.camera = torch.tensor([passes.camera_vector(1.2, 0.8, 0.1, -1.0, True)] * 2)
+    frame.motion = torch.randn(2, 2, h, w) * 0.05
+    frame.motion[:, :, 16:] = 0
+    frame.exposure = torch.tensor([0.5, 2.0]).view(2, 1, 1, 1)
+    frame.full = (960, 540)
+    return frame
+
+
+@unittest.skipUnless(fused.available(), "no C++ compiler")
+class Fused(unittest.TestCase):
+    """fused.cpp against nss_passes.py, values and gradients."""
+
+    SIZES = (((48, 32), (96, 64), False), ((45, 30), (60, 40), True), ((40, 24), (120, 72), False))
+
+    def agree(self, ours, theirs, what: str) -> None:
+        """Rounding may move a value across a threshold, such as a clamp to the neighbourhood: a few may differ."""
+        self.assertEqual(len(ours), len(theirs))
+        for index, (a, b) in enumerate(zip(ours, theirs)):
+            wrong = (a - b).abs() > 1e-3 * (b.abs() + b.abs().mean())
+            self.assertLess(float(wrong.float().mean()), 2e-2, f"{what}, {index}")
+            self.assertGreater(float(b.abs().max()), 0.0, f"{what}, {index}")
+
+    def states(self, mode: passes.Mode, size, big):
+        yield None
+        one, two = (random_state(mode, *size, big, seed) for seed in (1, 2))
+        yield passes.State(*(torch.cat([getattr(one, k), getattr(two, k)]) for k in ("history", "feedback")),
+                           passes.snorm8(torch.cat([one.memory, two.memory]) * 2 - 1))
+
+    def test_pre_pass(self):
+        torch.manual_seed(4)
+        mode = passes.MODES["v1_high"]
+        for size, big, reverse in self.SIZES:
+            frame = busy_frame(*size, reverse)
+            for state in self.states(mode, size, big):
+                found = []
+                for function in (fused.pre, passes.pre):
+                    torch.manual_seed(5)
+                    own = state and dataclasses.replace(state, history=state.history.clone().requires_grad_(),
+                                                        feedback=state.feedback.clone().requires_grad_())
+                    out = function(mode, frame, own)
+                    found.append([out.input.detach(), out.motion, out.disocclusion, out.memory, out.depth])
+                    if state:
+                        (out.input * torch.rand(out.input.shape)).sum().backward()
+                        found[-1] += [own.history.grad, own.feedback.grad]
+                self.agree(*found, f"{size}, reverse {reverse}, state {state is not None}")
+
+    def test_post_pass(self):
+        torch.manual_seed(6)
+        for name in ("v1_high", "v1_low"):
+            mode = passes.MODES[name]
+            for size, big, reverse in self.SIZES:
+                frame = busy_frame(*size, reverse)
+                outputs = {k: torch.cat([v, v.flip(3)]) for k, v in random_outputs(mode, *size).items()}
+                for state in self.states(mode, size, big):
+                    found = []
+                    before = passes.pre(mode, frame, state)
+                    for function in (fused.post, passes.post):
+                        torch.manual_seed(7)
+                        own = state and dataclasses.replace(state, history=state.history.clone().requires_grad_())
+                        mine = {k: v.clone().requires_grad_() for k, v in outputs.items()}
+                        out = function(mode, frame, before, mine, own, big)
+                        parts = [out.output, out.filtered, out.theta, out.alpha]
+                        sum((part.clamp(max=50) * torch.rand(part.shape)).mean() for part in parts).backward()
+                        found.append([part.detach() for part in parts] + [v.grad for v in mine.values()]
+                                     + ([own.history.grad] if own else []))
+                    self.agree(*found, f"{name}, {size}, state {state is not None}")
+
+    def test_spatial_loss(self):
+        torch.manual_seed(8)
+        for h, w in ((64, 96), (50, 40)):
+            truth, exposure = torch.rand(2, 3, h, w) * 2, torch.tensor([0.5, 3.0]).view(2, 1, 1, 1)
+            truth[:, :, :20] = 0.3
+            start = truth + 0.3 * torch.rand_like(truth), truth * exposure + 0.2 * torch.rand_like(truth)
+            found = []
+            for fast in (True, False):
+                output, filtered = (x.clone().requires_grad_() for x in start)
+                if fast:
+                    parts = fused.losses(output, filtered, truth, exposure, 1.3, 0.7)
+                else:
+                    wanted = train_nss.display(truth * exposure)
+                    error = train_nss.display(output * exposure) - wanted
+                    parts = (train_nss.spatial_loss(error, wanted, 1.3, 0.7),
+                             (train_nss.display(filtered) - wanted).abs().mean(), error, wanted)
+                (parts[0] * 2 + parts[1] * 0.3 + (parts[2] ** 2).mean()).backward()
+                found.append([p.detach() for p in parts] + [output.grad, filtered.grad])
+            self.agree(*found, f"{h}x{w}")
+
+    def test_spatial_loss_has_the_gradient_of_its_value(self):
+        torch.manual_seed(9)
+        wanted = torch.rand(1, 3, 16, 16, dtype=torch.float64)
+        wanted[:, :, :8] = 0.5
+        error = (torch.rand_like(wanted) - 0.5).requires_grad_()
+        self.assertTrue(torch.autograd.gradcheck(lambda e: train_nss.spatial_loss(e, wanted, 1.3, 0.7), error, eps=1e-7))
+
+
+class Data(unittest.TestCase):
+    def test_light_is_the_same_on_samples_and_truth(self):
+        """A sample and the truth under it get the same factor, wherever jitter and crop put it."""
+        rng = np.random.default_rng(3)
+        light = nss_data.Light.draw(rng, 2, 8, 1 / 64)
+        light = dataclasses.replace(light, rim=light.rim.clamp(min=0.2))
+        changed = 0.0
+        for t in (0, 5):
+            truth = light.gain(t, 64, 64)
+            for j in ((0.25, -0.25), (-0.25, 0.25)):
+                samples = light.gain(t, 32, 32, j)
+                column, row = int(j[0] > 0), int(j[1] > 0)  # texel centres of the truth that jitter of 1/4 hits
+                torch.testing.assert_close(samples, truth[:, :, row::2, column::2], rtol=1e-4, atol=1e-5)
+            changed = max(changed, float((truth - light.gain(0, 64, 64)).abs().max()))
+        self.assertGreater(changed, 0.05)
+
+    def test_crops_show_as_much_at_every_ratio(self):
+        for (w, h), (big_w, big_h), side in (((128, 128), (256, 256), 96), ((160, 160), (240, 240), 128),
+                                             ((96, 96), (288, 288), 64), ((192, 192), (256, 256), 144)):
+            clip = dataclasses.replace(make_clip(frames=1), colour=torch.zeros(1, 3, h, w),
+                                       truth=torch.zeros(1, 3, big_h, big_w))
+            found, ratio = nss_data.crop_size(clip, 96)
+            self.assertEqual((found, found * ratio), (side, 192))
+        with self.assertRaisesRegex(ValueError, "does not fit crops of 208"):
+            nss_data.crop_size(make_clip(frames=1), 208)
+
+    def test_batches_share_their_jitter_though_clips_start_elsewhere(self):
+        long = make_clip(frames=8)
+        late = nss_data.Clip(*(getattr(long, f.name) for f in dataclasses.fields(long)))
+        for key in ("colour", "depth", "motion", "truth", "truth_motion", "jitter", "exposure", "cut", "camera"):
+            setattr(late, key, getattr(late, key)[2:])
+        for seed in range(8):
+            found = nss_data.draw([long, late], np.random.default_rng(seed), 2, 32, 4)
+            jitters = [c.jitter[s : s + 4] for c, s in zip(found.clips, found.starts)]
+            self.assertEqual(jitters[0], jitters[1])
+            if found.known:
+                self.assertGreater(min(found.starts), 0)
+
+    def test_varied_scenes_are_functions_of_their_number(self):
+        scenes = Path(__file__).resolve().parents[3] / "models" / "scenes" / "train"
+        for number in range(1000, 1040):
+            clip = nss_clips.Varied.of(number, scenes)
+            self.assertEqual(clip, nss_clips.Varied.of(number, scenes))
+            x, y, w, h = clip.crop
+            self.assertTrue(0 <= x <= 1920 - w and 0 <= y <= 1080 - h, clip.crop)
+            for size in (x, y, w, h):
+                self.assertEqual(size * clip.ratio[1] % clip.ratio[0], 0, (clip.ratio, clip.crop))
+            self.assertLessEqual(clip.first + nss_clips.VARIED_FRAMES, clip.json["frames"])
+
+
+class Job(unittest.TestCase):
+    def test_a_job_trains_and_validates(self):
+        """Packed, unpacked, trained by the clock, brought back."""
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder)
+            clips = [make_clip(k) for k in range(3)]
+            packed = [nss_job.pack_clip(clip) for clip in clips]
+            (root / "clips.bin").write_bytes(json.dumps([about for about, _ in packed]).encode() + b"\n"
+                                             + b"".join(block for _, block in packed))
+            for found, clip in zip(nss_job.load(root / "clips.bin"), clips):
+                for key in ("colour", "motion", "truth", "truth_motion", "jitter", "camera", "name"):
+                    a, b = getattr(found, key), getattr(clip, key)
+                    self.assertTrue(torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b, key)
+                torch.testing.assert_close(found.depth, clip.depth, rtol=1e-3, atol=1e-4)
+            nss.save_weights(root / "start.npz", nss.Nss(passes.MODES["v1_high"]), {})
+            code = nss_job.main(["run", "--job", folder, "--out", str(root / "out"), "--mode", "v1_high", "--steps", "2",
+                                 "--batch", "1", "--crop", "32", "--frames", "3", "--chunk", "3"])
+            self.assertEqual(code, 0)
+            record = json.loads((root / "out" / "record.json").read_text())
+            self.assertEqual(set(record["validation"]["after"]), {"0000", "0001"})
+            self.assertEqual(record["clips"], ["0002"])
+            self.assertEqual(nss.load_model(root / "out" / "weights.npz")[1]["done"], 2)
+            self.assertEqual(nss_job.main(["run", "--job", folder, "--out", folder, "--minutes", "10"]), 1)
+            (root / "clips.bin").write_bytes((root / "clips.bin").read_bytes()[:-9])
+            with self.assertRaisesRegex(ValueError, "not the clips of a job"):
+                nss_job.load(root / "clips.bin")
 
 
 def write_exr(path: Path, planes: dict[str, np.ndarray], compression: int) -> None:
