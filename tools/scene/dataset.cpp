@@ -181,7 +181,10 @@ Result<void> DatasetWriter::finish() {
       {"Version", "1.0.1"},
       {"EmulatedFramerate", info_.frame_rate},
       {"TargetResolution", {{"X", info_.output.width}, {"Y", info_.output.height}}},
-      {"Samples", {{"Sequence", "Halton"}, {"Count", info_.jitter_phases}, {"Quantized", true}}},
+      {"Samples",
+       {{"Sequence", info_.sampling == "halton" ? "Halton" : info_.sampling},
+        {"Count", info_.jitter_phases},
+        {"Quantized", info_.sampling == "halton"}}},
       {"ReverseZ", !cameras_.empty() && cameras_[0].reverse_depth},
       {"UpscalingRatiosIndices", {{ratio_folder(info_.ratio) + "_index", 0}}},
       {"Frames", OrderedJson::array()}};
