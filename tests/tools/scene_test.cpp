@@ -211,9 +211,9 @@ TEST(SceneSampling, ListRepeats) {
   EXPECT_EQ(scene_jitter(6, {4, 4}, {5, 5}, list), (std::array{0.25f, -0.5f}));
   EXPECT_EQ(scene_jitter(7, {4, 4}, {5, 5}, list), (std::array{-0.1f, 0.0f}));
   for (const char* text : {"", "mnss2", "0.25", "0.1,0.2:", "0.1,0.2;0.3,0.4", "0.1,0.2,0.3"})
-    EXPECT_NE(error_text(parse_pattern(text))
-                  .find("is none of halton, mnss, and offsets X,Y:X,Y:..."),
-              std::string::npos)
+    EXPECT_NE(
+        error_text(parse_pattern(text)).find("is none of halton, mnss, and offsets X,Y:X,Y:..."),
+        std::string::npos)
         << text;
   EXPECT_EQ(error_text(parse_pattern("0.1,0.2:0.6,0")),
             "pattern: the offset 0.6,0 is outside -0.5 to 0.5");

@@ -103,8 +103,8 @@ Result<std::unique_ptr<SceneSource>> SceneSource::create(const vk::Context& cont
     return bad_input("size", "render size {}x{} is above output size {}x{}", options.render.width,
                      options.render.height, options.output.width, options.output.height);
   auto source = std::unique_ptr<SceneSource>(new SceneSource(std::move(scene), std::move(options)));
-  SHALE_TRY_VOID(check_pattern(source->options_.pattern, source->options_.render,
-                               source->options_.output));
+  SHALE_TRY_VOID(
+      check_pattern(source->options_.pattern, source->options_.render, source->options_.output));
   SHALE_TRY_VOID(source->set_clip(source->options_.clip));
   source->reverse_ = source->options_.reverse_depth.value_or(source->scene_.camera.reverse_depth);
   SHALE_TRY(source->renderer_,
@@ -141,8 +141,7 @@ FrameCamera SceneSource::camera(uint32_t scene_frame, const CameraPose& pose) co
   camera.near_plane = static_cast<float>(scene_.camera.near_plane);
   camera.far_plane = static_cast<float>(scene_.camera.far_plane);
   camera.reverse_depth = reverse_;
-  camera.jitter = scene_jitter(scene_frame, options_.render, options_.output,
-                               options_.pattern);
+  camera.jitter = scene_jitter(scene_frame, options_.render, options_.output, options_.pattern);
   camera.exposure = static_cast<float>(scene_.exposure);
   // Rows of clip space: x, y, then depth * w and w = view z. The window is moved to the middle and
   // widened to the whole clip space.

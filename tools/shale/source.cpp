@@ -52,9 +52,10 @@ void SourceArguments::add_to(CLI::App& app) {
       ->check(CLI::Range(1u, 100000u));
   app.add_option("--first", first, "first frame to take")->check(CLI::Range(0u, 1000000u));
   app.add_option("--sequence", sequence, "which sequence of a dataset, counted from 0");
-  app.add_option("--pattern", pattern,
-                 "how a scene is sampled: halton, mnss, or offsets X,Y:X,Y (default: what the first "
-                 "model's frame.json says)");
+  app.add_option(
+      "--pattern", pattern,
+      "how a scene is sampled: halton, mnss, or offsets X,Y:X,Y (default: what the first "
+      "model's frame.json says)");
 }
 
 Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,

@@ -27,7 +27,7 @@ struct SourceArguments {
   uint32_t first = 0;
   uint32_t sequence = 0;
   std::string pattern;  ///< of a scene: what parse_pattern reads; empty is not given
-  double ratio = 0;  ///< of a dataset that has several, from --ratio; 0 is not given
+  double ratio = 0;     ///< of a dataset that has several, from --ratio; 0 is not given
   void add_to(CLI::App& app);
 };
 

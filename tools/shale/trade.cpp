@@ -151,13 +151,13 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
       output{sizes.output.width, sizes.output.height};
   SHALE_TRY(const std::unique_ptr<FrameSource> rendered,
             open_scene(scene.path, source, device, render, output, pattern));
-  SHALE_TRY(
-      DatasetWriter writer,
-      DatasetWriter::create(folder.string(), {.number = 0,
-                                              .render = render,
-                                              .output = output,
-                                              .sampling = pattern_name(pattern),
-                                              .jitter_phases = jitter_phases(render, output, pattern)}));
+  SHALE_TRY(DatasetWriter writer,
+            DatasetWriter::create(folder.string(),
+                                  {.number = 0,
+                                   .render = render,
+                                   .output = output,
+                                   .sampling = pattern_name(pattern),
+                                   .jitter_phases = jitter_phases(render, output, pattern)}));
   Progress progress("rendering " + scene.name);
   for (uint32_t i = 0; i < rendered->frame_count(); ++i) {
     if (!progress.step(i, rendered->frame_count()))
@@ -398,8 +398,7 @@ Result<int> trade(const Arguments& arguments) {
           }
           if (cell.is_null()) {
             SHALE_TRY(const std::unique_ptr<FrameSource> source,
-                      frames_of(arguments, tool, scenes[s], sizes,
-                                contender.files.frame->pattern));
+                      frames_of(arguments, tool, scenes[s], sizes, contender.files.frame->pattern));
             if (method.empty()) {
               SHALE_TRY(const Sandwich sandwich,
                         load_sandwich(contender.path, contender.compile(&arguments.tool),
