@@ -192,9 +192,10 @@ TEST(SceneSampling, MnssSamplesCentresOfOutputPixels) {
     const std::pair at{std::lround(3 * x), std::lround(3 * y)};
     EXPECT_NEAR(x, static_cast<double>(at.first) / 3, 1e-6);
     EXPECT_NEAR(y, static_cast<double>(at.second) / 3, 1e-6);
-    if (frame > 0)
+    if (frame > 0) {
       EXPECT_EQ(std::abs(at.first - before.first) + std::abs(at.second - before.second), 1)
           << frame;
+    }
     seen.insert(before = at);
   }
   EXPECT_EQ(seen.size(), 9u);
