@@ -93,6 +93,24 @@ Result<FrameExtent> parse_extent(const Fields& fields, const char* key) {
   return FrameExtent{size[0].get<uint32_t>(), size[1].get<uint32_t>()};
 }
 
+/// A name, or a list of [x, y].
+Result<SamplingPattern> parse_frame_pattern(const Fields& root) {
+  if (!root.has("pattern")) return SamplingPattern{};
+  const Json& json = root.json()["pattern"];
+  std::vector<std::array<float, 2>> offsets;
+  for (const Json& pair : json.is_array() ? json : Json::array()) {
+    if (!pair.is_array() || pair.size() != 2 || !pair[0].is_number() || !pair[1].is_number())
+      return bad_input(root.where() + ".pattern", "entry {} must be [x, y]", offsets.size());
+    offsets.push_back({pair[0].get<float>(), pair[1].get<float>()});
+  }
+  if (!json.is_string() && !json.is_array())
+    return bad_input(root.where(), "\"pattern\" must be halton, mnss, or a list of [x, y]");
+  Result<SamplingPattern> pattern =
+      json.is_string() ? parse_pattern(json.get<std::string>()) : pattern_of(std::move(offsets));
+  if (!pattern) return bad_input(root.where() + ".pattern", "{}", pattern.error().message);
+  return pattern;
+}
+
 /// A number for both axes, or a list of two; 1 if absent.
 Result<std::array<uint32_t, 2>> parse_divide(const Fields& fields) {
   if (!fields.has("divide") || !fields.json()["divide"].is_array()) {
@@ -432,6 +450,7 @@ Result<Frame> parse_frame(const std::string& text) {
     return bad_input("frame", "\"ratio\" is {} to {}, expected a range within 1 to {}",
                      frame.min_ratio, frame.max_ratio, kMaxRatio);
   SHALE_TRY_VOID(frame_sizes(frame, {}));
+  SHALE_TRY(frame.pattern, parse_frame_pattern(root));
   SHALE_TRY(const std::vector<Fields> params, root.list("params"));
   for (const Fields& fields : params) {
     SHALE_TRY(Param param, parse_param(fields));

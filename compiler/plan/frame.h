@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "ir/base/sampling_pattern.h"
 #include "ir/package/package.h"
 
 namespace shale {
@@ -81,6 +82,7 @@ struct FrameView {
 
 struct Frame {
   FrameExtent render, output;               ///< where nobody asks for others
+  SamplingPattern pattern;                  ///< that the rendered frames should have
   double min_ratio = 1.0, max_ratio = 1.0;  ///< of output to render size
   std::vector<Param> params;                ///< with their offsets
   std::vector<FrameView> views;

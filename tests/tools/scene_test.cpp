@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <limits>
 #include <random>
+#include <set>
 
 #include "ir/base/file.h"
 #include "tests/support/vulkan_fixture.h"
@@ -185,6 +186,58 @@ TEST(SceneSampling, JitterIsHaltonOnAnEighthPixelGrid) {
   }
   EXPECT_LT(std::abs(sum_x / 32), 0.04);
   EXPECT_LT(std::abs(sum_y / 32), 0.04);
+}
+
+TEST(SceneSampling, MnssSamplesCentresOfOutputPixels) {
+  // Source: MNSS (TVCG 2023): at ratio 2 the column moves by 1, 0 and the row by 1, 1, 0, again and again.
+  const SamplingPattern mnss = must(parse_pattern("mnss"));
+  const Extent render{48, 27}, twice{96, 54}, thrice{144, 81};
+  EXPECT_EQ(jitter_phases(render, twice, mnss), 12u);
+  EXPECT_EQ(jitter_phases(render, thrice, mnss), 9u);
+  uint32_t column = 0, row = 0;
+  for (uint32_t frame = 0; frame < 30; ++frame) {
+    EXPECT_EQ(scene_jitter(frame, render, twice, mnss),
+              (std::array{column ? 0.25f : -0.25f, row ? 0.25f : -0.25f}))
+        << frame;
+    column = (column + (frame % 2 == 0 ? 1 : 0)) % 2;
+    row = (row + (frame % 3 == 2 ? 0 : 1)) % 2;
+  }
+  // Nine frames visit all nine places, each step to a neighbour.
+  std::set<std::pair<int, int>> seen;
+  std::pair<int, int> before{-1, 0};
+  for (uint32_t frame = 0; frame < 9; ++frame) {
+    const auto [x, y] = scene_jitter(frame, render, thrice, mnss);
+    const std::pair at{std::lround(3 * x), std::lround(3 * y)};
+    EXPECT_NEAR(x, static_cast<double>(at.first) / 3, 1e-6);
+    EXPECT_NEAR(y, static_cast<double>(at.second) / 3, 1e-6);
+    if (frame > 0) {
+      EXPECT_EQ(std::abs(at.first - before.first) + std::abs(at.second - before.second), 1)
+          << frame;
+    }
+    seen.insert(before = at);
+  }
+  EXPECT_EQ(seen.size(), 9u);
+  EXPECT_EQ(error_text(check_pattern(mnss, {48, 27}, {72, 41})),
+            "pattern: mnss is for ratios 2 and 3, the sizes are 48x27 to 72x41");
+  EXPECT_TRUE(check_pattern({}, {48, 27}, {72, 41}));
+}
+
+TEST(SceneSampling, ListRepeats) {
+  const SamplingPattern list = must(parse_pattern("0.25,-0.5:-1e-1,0"));
+  EXPECT_EQ(pattern_text(list), "0.25,-0.5:-0.1,0");
+  EXPECT_EQ(must(parse_pattern(pattern_text(list))), list);
+  EXPECT_EQ(jitter_phases({4, 4}, {5, 5}, list), 2u);
+  EXPECT_EQ(scene_jitter(6, {4, 4}, {5, 5}, list), (std::array{0.25f, -0.5f}));
+  EXPECT_EQ(scene_jitter(7, {4, 4}, {5, 5}, list), (std::array{-0.1f, 0.0f}));
+  for (const char* text : {"", "mnss2", "0.25", "0.1,0.2:", "0.1,0.2;0.3,0.4", "0.1,0.2,0.3"})
+    EXPECT_NE(
+        error_text(parse_pattern(text)).find("is none of halton, mnss, and offsets X,Y:X,Y:..."),
+        std::string::npos)
+        << text;
+  EXPECT_EQ(error_text(parse_pattern("0.1,0.2:0.6,0")),
+            "pattern: the offset 0.6,0 is outside -0.5 to 0.5");
+  EXPECT_FALSE(parse_pattern("nan,0"));
+  EXPECT_EQ(error_text(pattern_of({})), "pattern: has 0 offsets, expected 1 to 4096");
 }
 
 TEST(SceneSampling, ACameraStandsStillBehindItsLastKeyAndStartsAgainAtACut) {

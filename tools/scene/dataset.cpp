@@ -177,14 +177,16 @@ Result<void> DatasetWriter::add(const SourceFrame& frame) {
 }
 
 Result<void> DatasetWriter::finish() {
-  OrderedJson json{
-      {"Version", "1.0.1"},
-      {"EmulatedFramerate", info_.frame_rate},
-      {"TargetResolution", {{"X", info_.output.width}, {"Y", info_.output.height}}},
-      {"Samples", {{"Sequence", "Halton"}, {"Count", info_.jitter_phases}, {"Quantized", true}}},
-      {"ReverseZ", !cameras_.empty() && cameras_[0].reverse_depth},
-      {"UpscalingRatiosIndices", {{ratio_folder(info_.ratio) + "_index", 0}}},
-      {"Frames", OrderedJson::array()}};
+  OrderedJson json{{"Version", "1.0.1"},
+                   {"EmulatedFramerate", info_.frame_rate},
+                   {"TargetResolution", {{"X", info_.output.width}, {"Y", info_.output.height}}},
+                   {"Samples",
+                    {{"Sequence", info_.sampling == "halton" ? "Halton" : info_.sampling},
+                     {"Count", info_.jitter_phases},
+                     {"Quantized", info_.sampling == "halton"}}},
+                   {"ReverseZ", !cameras_.empty() && cameras_[0].reverse_depth},
+                   {"UpscalingRatiosIndices", {{ratio_folder(info_.ratio) + "_index", 0}}},
+                   {"Frames", OrderedJson::array()}};
   for (size_t i = 0; i < cameras_.size(); ++i) {
     const FrameCamera& c = cameras_[i];
     const double x = c.jitter[0], y = c.jitter[1];

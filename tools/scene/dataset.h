@@ -37,6 +37,7 @@ struct SequenceInfo {
   uint32_t number = 0;  ///< NNNN
   Extent render, output;
   double frame_rate = 30;
+  std::string sampling = "halton";  ///< how its pattern is called
   uint32_t jitter_phases = 32;
   double ratio = 0;  ///< 0: that of the sizes
 };

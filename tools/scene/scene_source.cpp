@@ -2,12 +2,28 @@
 
 #include <algorithm>
 #include <numeric>
+#include <span>
 
 namespace shale {
 namespace {
 
 constexpr uint32_t kMaxSide = 16384;
 constexpr uint32_t kTruthSamples = 4;
+
+/// Column and row of the output pixel of each tile that a frame samples.
+using MnssPattern = std::span<const std::array<uint8_t, 2>>;
+constexpr std::array<uint8_t, 2> kMnss2[] = {{0, 0}, {1, 1}, {1, 0}, {0, 0}, {0, 1}, {1, 0},
+                                             {1, 0}, {0, 1}, {0, 0}, {1, 0}, {1, 1}, {0, 0}};
+constexpr std::array<uint8_t, 2> kMnss3[] = {{0, 0}, {1, 0}, {2, 0}, {2, 1}, {2, 2},
+                                             {1, 2}, {0, 2}, {0, 1}, {1, 1}};
+
+/// Empty where the paper has none.
+MnssPattern mnss_pattern(Extent render, Extent output) {
+  const auto is = [&](uint32_t scale) {
+    return output == Extent{scale * render.width, scale * render.height};
+  };
+  return is(2) ? MnssPattern(kMnss2) : is(3) ? MnssPattern(kMnss3) : MnssPattern();
+}
 
 /// The radical inverse. Source: Halton 1960.
 double halton(uint32_t index, uint32_t base) {
@@ -50,14 +66,37 @@ uint32_t frames_at_rate(const Scene& scene, double frame_rate) {
   return static_cast<uint32_t>(std::min(last, double{kMaxSceneFrames})) + 1;
 }
 
-uint32_t jitter_phases(Extent render, Extent output) {
+uint32_t jitter_phases(Extent render, Extent output, const SamplingPattern& pattern) {
+  if (pattern.kind == SamplingPattern::Kind::kList)
+    return static_cast<uint32_t>(pattern.offsets.size());
+  if (pattern.kind == SamplingPattern::Kind::kMnss)
+    return static_cast<uint32_t>(mnss_pattern(render, output).size());
   const uint64_t phases =
       8ull * output.width * output.width / (uint64_t{render.width} * render.width);
   return static_cast<uint32_t>(std::max<uint64_t>(phases, 1));
 }
 
-std::array<float, 2> scene_jitter(uint32_t frame, Extent render, Extent output) {
-  const uint32_t index = frame % jitter_phases(render, output) + 1;
+Result<void> check_pattern(const SamplingPattern& pattern, Extent render, Extent output) {
+  if (pattern.kind == SamplingPattern::Kind::kMnss && mnss_pattern(render, output).empty())
+    return bad_input("pattern", "mnss is for ratios 2 and 3, the sizes are {}x{} to {}x{}",
+                     render.width, render.height, output.width, output.height);
+  return {};
+}
+
+std::array<float, 2> scene_jitter(uint32_t frame, Extent render, Extent output,
+                                  const SamplingPattern& pattern) {
+  const uint32_t phase = frame % jitter_phases(render, output, pattern);
+  if (pattern.kind == SamplingPattern::Kind::kList) return pattern.offsets[phase];
+  if (pattern.kind == SamplingPattern::Kind::kMnss) {
+    const auto [column, row] = mnss_pattern(render, output)[phase];
+    const auto offset = [&](uint32_t at) {
+      return (static_cast<float>(at) + 0.5f) * static_cast<float>(render.width) /
+                 static_cast<float>(output.width) -
+             0.5f;
+    };
+    return {offset(column), offset(row)};
+  }
+  const uint32_t index = phase + 1;
   const auto quantized = [](double h) {
     return static_cast<float>((std::floor(8 * h) + 0.5) / 8 - 0.5);
   };
@@ -74,6 +113,8 @@ Result<std::unique_ptr<SceneSource>> SceneSource::create(const vk::Context& cont
     return bad_input("size", "render size {}x{} is above output size {}x{}", options.render.width,
                      options.render.height, options.output.width, options.output.height);
   auto source = std::unique_ptr<SceneSource>(new SceneSource(std::move(scene), std::move(options)));
+  SHALE_TRY_VOID(
+      check_pattern(source->options_.pattern, source->options_.render, source->options_.output));
   SHALE_TRY_VOID(source->set_clip(source->options_.clip));
   source->reverse_ = source->options_.reverse_depth.value_or(source->scene_.camera.reverse_depth);
   SHALE_TRY(source->renderer_,
@@ -111,7 +152,7 @@ FrameCamera SceneSource::camera(uint32_t number, const FramePoses& poses) const 
   camera.near_plane = static_cast<float>(scene_.camera.near_plane);
   camera.far_plane = static_cast<float>(scene_.camera.far_plane);
   camera.reverse_depth = reverse_;
-  camera.jitter = scene_jitter(number, options_.render, options_.output);
+  camera.jitter = scene_jitter(number, options_.render, options_.output, options_.pattern);
   camera.exposure = static_cast<float>(exposure_at(scene_, poses.frame));
   // Rows of clip space: x, y, then depth * w and w = view z. The window is moved to the middle and
   // widened to the whole clip space.

@@ -4,6 +4,7 @@
 #include <functional>
 #include <optional>
 
+#include "ir/base/sampling_pattern.h"
 #include "runtime/vk/device.h"
 #include "tools/scene/frame_source.h"
 #include "tools/scene/renderer.h"
@@ -26,15 +27,23 @@ struct SceneOptions {
   Extent output{1920, 1080};
   SceneClip clip;
   double frame_rate = 0;  ///< frames a second, at which everything moves as fast; 0 is the scene's
+  SamplingPattern pattern;
   std::optional<bool> reverse_depth;  ///< instead of what the scene says
   std::function<bool()> keep_going;   ///< asked between bands of rows; may be empty
   VkPipelineCache cache = VK_NULL_HANDLE;
 };
 
-/// Sub-pixel offset of a frame's samples: Halton (2, 3) of frame + 1, repeated after 8 times the
-/// ratio of areas, on a grid of 1/8 pixel. Source: NSS, shared conventions.
-std::array<float, 2> scene_jitter(uint32_t frame, Extent render, Extent output);
-uint32_t jitter_phases(Extent render, Extent output);
+/// Sub-pixel offset of a frame's samples. kHalton: Halton (2, 3) of frame + 1, repeated after 8 times
+/// the ratio of areas, on a grid of 1/8 pixel; kMnss: at ratio 2 twelve frames, at ratio 3 nine.
+/// Precondition: check_pattern. Source: NSS, shared conventions; MNSS (TVCG 2023), the phase of x2
+/// and the spiral of x3 as in the authors' release of 2021.
+std::array<float, 2> scene_jitter(uint32_t frame, Extent render, Extent output,
+                                  const SamplingPattern& pattern = {});
+/// Frames after which the offsets repeat.
+uint32_t jitter_phases(Extent render, Extent output, const SamplingPattern& pattern = {});
+
+/// Errors: kBadInput if the pattern does not exist for the sizes.
+Result<void> check_pattern(const SamplingPattern& pattern, Extent render, Extent output);
 
 /// Frames of the scene from one rendered frame to the next, and how many are rendered, at
 /// `frame_rate`; 0 is the scene's own.
@@ -44,7 +53,7 @@ uint32_t frames_at_rate(const Scene& scene, double frame_rate);
 class SceneSource : public FrameSource {
  public:
   /// `context` must outlive the source.
-  /// Errors: kBadInput for sizes or a crop that do not fit each other; kDevice.
+  /// Errors: kBadInput for sizes, a pattern or a crop that do not fit each other; kDevice.
   static Result<std::unique_ptr<SceneSource>> create(const vk::Context& context, Scene scene,
                                                      SceneOptions options);
 

@@ -29,14 +29,12 @@ class Methods {
   Methods(const Arguments& arguments, const ToolDevice& device)
       : arguments_(arguments), device_(device) {}
 
-  /// Sizes of the first method without any being given: those that the scene is rendered in.
-  Result<std::pair<Extent, Extent>> default_sizes(const std::string& scene) const {
+  /// The first method without any size being given: the scene is rendered for it.
+  Result<Sandwich> first(const std::string& scene) const {
     if (arguments_.methods.empty())
       return bad_input(scene,
                        "is rendered in the size of the first --method: give one, or a dataset");
-    SHALE_TRY(const Sandwich first,
-              load_sandwich(arguments_.methods[0], arguments_.compile, {}, {}));
-    return sandwich_sizes(first.package.variants.front());
+    return load_sandwich(arguments_.methods[0], arguments_.compile, {}, {});
   }
 
   /// Errors: as load_sandwich and Player::create; kBadInput if a package has other sizes.
@@ -146,8 +144,10 @@ Result<int> eval(const Arguments& arguments) {
           break;
         }
         case SourceKind::kScene: {
-          SHALE_TRY(const auto sizes, methods.default_sizes(input));
-          SHALE_TRY(source, open_scene(input, arguments.source, device, sizes.first, sizes.second));
+          SHALE_TRY(const Sandwich first, methods.first(input));
+          SHALE_TRY(const auto sizes, sandwich_sizes(first.package.variants.front()));
+          SHALE_TRY(source, open_scene(input, arguments.source, device, sizes.first, sizes.second,
+                                       first.pattern));
         }
       }
       SHALE_TRY(std::vector<PlayedMethod>* const ready,
@@ -183,7 +183,7 @@ Action add_eval(CLI::App& app) {
   app.add_option("inputs", arguments->inputs, "scenes (.json) and datasets (folders)")->required();
   app.add_option("-m,--method", arguments->methods,
                  "model folder or package, again for each; the first one's frame.json gives scenes "
-                 "their size")
+                 "their size and pattern of samples")
       ->allow_extra_args(false);
   app.add_option(
          "--pictures", arguments->pictures,

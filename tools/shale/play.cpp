@@ -270,8 +270,8 @@ Result<int> play(const Arguments& arguments) {
             load_sandwich(arguments.model, compile, render_size, output_size));
   if (kind == SourceKind::kScene) {
     SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package.variants.front()));
-    SHALE_TRY(source,
-              open_scene(arguments.input, arguments.source, device, sizes.first, sizes.second));
+    SHALE_TRY(source, open_scene(arguments.input, arguments.source, device, sizes.first,
+                                 sizes.second, sandwich.pattern));
   }
   if (arguments.check && !sandwich.graph)
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);

@@ -187,6 +187,7 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
   SHALE_TRY(Compiled compiled, compile_model(model, options));
   for (const std::string& warning : compiled.warnings) print_warning(model.path, warning);
   sandwich.name = model.name;
+  sandwich.pattern = model.frame->pattern;
   sandwich.package = std::move(compiled.package);
   if (model.bytes.empty()) return sandwich;
   SHALE_TRY(sandwich.graph, import_model(model.bytes, options.import));

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "ir/base/sampling_pattern.h"
 #include "ir/graph/tensor.h"
 #include "runtime/frame/frame_loop.h"
 #include "runtime/vk/memory.h"
@@ -25,6 +26,7 @@ namespace shale {
 struct Sandwich {
   std::string name;
   Package package;
+  SamplingPattern pattern{};   ///< that it is made for; of a package not known
   std::optional<Graph> graph;  ///< before the passes; empty for a package, or without a network
 };
 

@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 
 struct Arguments {
   std::vector<std::string> scenes, crops;
-  std::string output, render = "960x540", size;
+  std::string output, render = "960x540", size, pattern = "halton";
   double ratio = 2, frame_rate = 0;
   uint32_t first = 0, frames = 0;
   uint32_t random_crops = 0, crop_size = 256, clip_length = 16, seed = 1, number = 0;
@@ -103,6 +103,8 @@ Result<int> run(const Arguments& arguments) {
   if (!arguments.size.empty()) {
     SHALE_TRY(output, extent_of("--output-size", arguments.size));
   }
+  Result<SamplingPattern> pattern = parse_pattern(arguments.pattern);
+  if (!pattern) return in_file("--pattern", pattern.error());
   std::vector<Scene> scenes;
   for (const std::string& path : arguments.scenes) {
     SHALE_TRY(Scene scene, load_scene(path));
@@ -123,6 +125,7 @@ Result<int> run(const Arguments& arguments) {
       options.output = output;
       options.clip = clips[0];
       options.frame_rate = arguments.frame_rate;
+      options.pattern = *pattern;
       options.keep_going = [] { return !interrupted(); };
       options.cache = device.cache();
       if (arguments.reverse_depth) options.reverse_depth = true;
@@ -139,7 +142,8 @@ Result<int> run(const Arguments& arguments) {
         info.output = source.output_size();
         info.frame_rate =
             arguments.frame_rate > 0 ? arguments.frame_rate : source.scene().frame_rate;
-        info.jitter_phases = jitter_phases(render, output);
+        info.sampling = pattern_name(*pattern);
+        info.jitter_phases = jitter_phases(render, output, *pattern);
         info.ratio = arguments.size.empty() ? arguments.ratio : ratio_of_sizes(render, output);
         SHALE_TRY(DatasetWriter writer, DatasetWriter::create(arguments.output, info));
         double render_s = 0;
@@ -197,6 +201,9 @@ Action add_scene(CLI::App& app) {
                     ->check(number_in(1, 8));
   app.add_option("--output-size", arguments->size, "size of the truth, instead of --ratio")
       ->excludes(ratio);
+  app.add_option("--pattern", arguments->pattern,
+                 "where in its pixels a frame is sampled: halton, mnss, or a list of offsets from "
+                 "their centres, X,Y:X,Y (default halton)");
   app.add_option("--frames", arguments->frames, "number of frames (default: all)");
   app.add_option("--first", arguments->first, "first frame of the scene");
   app.add_option("--frame-rate", arguments->frame_rate,

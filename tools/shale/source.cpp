@@ -52,6 +52,10 @@ void SourceArguments::add_to(CLI::App& app) {
       ->check(CLI::Range(1u, 100000u));
   app.add_option("--first", first, "first frame to take")->check(CLI::Range(0u, 1000000u));
   app.add_option("--sequence", sequence, "which sequence of a dataset, counted from 0");
+  app.add_option(
+      "--pattern", pattern,
+      "how a scene is sampled: halton, mnss, or offsets X,Y:X,Y (default: what the first "
+      "model's frame.json says)");
 }
 
 Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
@@ -77,9 +81,15 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
 Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,
                                                 const SourceArguments& arguments,
                                                 const ToolDevice& device, Extent render,
-                                                Extent output) {
+                                                Extent output, const SamplingPattern& pattern) {
   SHALE_TRY(Scene scene, load_scene(path));
   SceneOptions options;
+  options.pattern = pattern;
+  if (!arguments.pattern.empty()) {
+    Result<SamplingPattern> given = parse_pattern(arguments.pattern);
+    if (!given) return in_file("--pattern", given.error());
+    options.pattern = *std::move(given);
+  }
   options.render = render;
   options.output = output;
   options.clip = {arguments.first, arguments.frames, {}};

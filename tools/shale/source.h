@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 
+#include "ir/base/sampling_pattern.h"
 #include "tools/scene/frame_source.h"
 #include "tools/shale/device_run.h"
 
@@ -20,12 +21,13 @@ enum class SourceKind {
 /// By what lies at the path; a path with nothing there counts as pictures.
 SourceKind source_kind(const std::string& path);
 
-/// --frames, --first, --sequence.
+/// --frames, --first, --sequence, --pattern.
 struct SourceArguments {
   uint32_t frames = 0;  ///< 0 is all
   uint32_t first = 0;
   uint32_t sequence = 0;
-  double ratio = 0;  ///< of a dataset that has several, from --ratio; 0 is not given
+  std::string pattern;  ///< of a scene: what parse_pattern reads; empty is not given
+  double ratio = 0;     ///< of a dataset that has several, from --ratio; 0 is not given
   void add_to(CLI::App& app);
 };
 
@@ -34,11 +36,12 @@ struct SourceArguments {
 Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
                                                   const SourceArguments& arguments);
 
-/// The frames of a scene, rendered on the device at these sizes.
+/// The frames of a scene, rendered on the device at these sizes; with `pattern` where the arguments
+/// give none.
 /// Errors: as load_scene and SceneSource::create.
 Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,
                                                 const SourceArguments& arguments,
                                                 const ToolDevice& device, Extent render,
-                                                Extent output);
+                                                Extent output, const SamplingPattern& pattern);
 
 }  // namespace shale

@@ -134,24 +134,30 @@ struct SceneFrames {
 
 /// The scene's frames at these sizes, rendered into the folder unless they are there.
 Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const ToolDevice& device,
-                                               const SceneFrames& scene, const Sizes& sizes) {
-  SourceArguments source{.frames = arguments.frames};
+                                               const SceneFrames& scene, const Sizes& sizes,
+                                               const SamplingPattern& pattern) {
+  SourceArguments source;
+  source.frames = arguments.frames;
+  const std::string sampled = pattern_text(pattern);
+  const uint64_t hash =
+      stable_hash({reinterpret_cast<const uint8_t*>(sampled.data()), sampled.size()}, scene.hash);
   const fs::path folder =
       fs::path(arguments.folder) / "frames" /
       fmt::format("{}-{}x{}-{}x{}-{}-{:016x}", scene.name, sizes.render.width, sizes.render.height,
-                  sizes.output.width, sizes.output.height, arguments.frames, scene.hash);
+                  sizes.output.width, sizes.output.height, arguments.frames, hash);
   std::error_code ignored;
   if (fs::exists(folder / "0000.json", ignored)) return open_dataset(folder.string(), source);
   const Extent render{sizes.render.width, sizes.render.height},
       output{sizes.output.width, sizes.output.height};
   SHALE_TRY(const std::unique_ptr<FrameSource> rendered,
-            open_scene(scene.path, source, device, render, output));
-  SHALE_TRY(
-      DatasetWriter writer,
-      DatasetWriter::create(folder.string(), {.number = 0,
-                                              .render = render,
-                                              .output = output,
-                                              .jitter_phases = jitter_phases(render, output)}));
+            open_scene(scene.path, source, device, render, output, pattern));
+  SHALE_TRY(DatasetWriter writer,
+            DatasetWriter::create(folder.string(),
+                                  {.number = 0,
+                                   .render = render,
+                                   .output = output,
+                                   .sampling = pattern_name(pattern),
+                                   .jitter_phases = jitter_phases(render, output, pattern)}));
   Progress progress("rendering " + scene.name);
   for (uint32_t i = 0; i < rendered->frame_count(); ++i) {
     if (!progress.step(i, rendered->frame_count()))
@@ -392,7 +398,7 @@ Result<int> trade(const Arguments& arguments) {
           }
           if (cell.is_null()) {
             SHALE_TRY(const std::unique_ptr<FrameSource> source,
-                      frames_of(arguments, tool, scenes[s], sizes));
+                      frames_of(arguments, tool, scenes[s], sizes, contender.files.frame->pattern));
             if (method.empty()) {
               SHALE_TRY(const Sandwich sandwich,
                         load_sandwich(contender.path, contender.compile(&arguments.tool),

@@ -53,6 +53,18 @@ TEST(FrameJson, ReadsEveryField) {
   EXPECT_EQ(shader_passes(frame).size(), 2u);
 }
 
+TEST(FrameJson, ReadsThePatternOfItsSamples) {
+  const auto pattern = [](const std::string& field) {
+    std::string text(kFrame);
+    text.insert(text.find("\"render\""), field);
+    return must(parse_frame(text)).pattern;
+  };
+  EXPECT_EQ(pattern(""), SamplingPattern{});
+  EXPECT_EQ(pattern("\"pattern\": \"mnss\", ").kind, SamplingPattern::Kind::kMnss);
+  EXPECT_EQ(pattern("\"pattern\": [[0.25, -0.25], [0, 0.5]], "),
+            must(pattern_of({{0.25f, -0.25f}, {0, 0.5f}})));
+}
+
 TEST(FrameJson, ReadsProgramsWithGraphsOfTheirOwn) {
   const Frame frame =
       must(parse_frame(R"({"schema": "shale-frame/2", "render": [4, 4], "output": [4, 4],
@@ -102,6 +114,16 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
       {"\"render\": [10, 6]", "\"render\": [10, 0]", "frame: \"render\" has the side 0"},
       {"\"output\": [20, 12]", "\"output\": 20", "frame: \"output\" must be a width and a height"},
       {"\"output\": [20, 12]", "\"output\": [20, 20]", "is a ratio outside 1.5 to 3"},
+      {"\"output\": [20, 12]", "\"output\": [20, 12], \"pattern\": 3",
+       "frame: \"pattern\" must be halton, mnss, or a list of [x, y]"},
+      {"\"output\": [20, 12]", "\"output\": [20, 12], \"pattern\": \"random\"",
+       "frame.pattern: \"random\" is none of halton, mnss, and offsets X,Y:X,Y:..."},
+      {"\"output\": [20, 12]", "\"output\": [20, 12], \"pattern\": [[0, 0], [0]]",
+       "frame.pattern: entry 1 must be [x, y]"},
+      {"\"output\": [20, 12]", "\"output\": [20, 12], \"pattern\": [[0, 0.75]]",
+       "frame.pattern: the offset 0,0.75 is outside -0.5 to 0.5"},
+      {"\"output\": [20, 12]", "\"output\": [20, 12], \"pattern\": []",
+       "frame.pattern: has 0 offsets"},
       {"[1.5, 3]", "[0.5, 3]", "frame: \"ratio\" is 0.5 to 3, expected a range within 1 to 16"},
       {"[1.5, 3]", "[\"1\", 3]", "frame: \"ratio\" must be the least and the largest ratio"},
       {"\"type\": \"vec2\"", "\"type\": \"mat2\"",
