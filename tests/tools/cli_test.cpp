@@ -77,6 +77,40 @@ TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   }
 }
 
+TEST_F(Cli, ABudgetLetsCheaperSandwichesStepIn) {
+  write(file("load.txt"), "1\n");
+  const std::string play = "play " + kModels + "/baselines/lanczos -i " + kModels +
+                           "/scenes/test/motion.json --render 64x36 --ratio 2 --frames 4 -o " +
+                           file("frames");
+  // No frame takes a nanosecond: after two of them the cheapest is all that is left.
+  const std::string cheaper = " --or " + kModels + "/baselines/nearest";
+  const Outcome tight =
+      shale(play + " --budget 0.001 --load " + file("load.txt") + cheaper + " --json");
+  ASSERT_EQ(tight.exit, 0) << tight.text;
+  const auto json = nlohmann::json::parse(tight.text);
+  EXPECT_EQ(json["budget"]["switches"], 1);
+  EXPECT_EQ(json["budget"]["within"], 0);
+  for (size_t i = 0; i < 4; ++i) {
+    EXPECT_EQ(json["frames"][i]["model"],
+              kModels + (i < 2 ? "/baselines/lanczos" : "/baselines/nearest"));
+    EXPECT_GT(json["frames"][i]["frame_ms"], 0);
+  }
+  const auto ample =
+      nlohmann::json::parse(shale(play + " --budget 100000" + cheaper + " --json").text);
+  EXPECT_EQ(ample["budget"]["switches"], 0);
+  EXPECT_EQ(ample["budget"]["within"], 1);
+
+  write(file("bad.txt"), "1\n2\nquick\n");
+  const Outcome bad = shale(play + " --budget 10 --load " + file("bad.txt") + cheaper);
+  EXPECT_EQ(bad.exit, 1);
+  EXPECT_NE(bad.text.find("line 3 is \"quick\""), std::string::npos) << bad.text;
+  EXPECT_EQ(shale(play + " --or x").exit, 2);
+  EXPECT_EQ(shale(play + " --budget 10 --profile").exit, 2);
+  const Outcome other = shale(play + " --budget 10 --or " + kModels + "/srpo_x2");
+  EXPECT_EQ(other.exit, 1);
+  EXPECT_NE(other.text.find("other pictures"), std::string::npos) << other.text;
+}
+
 TEST_F(Cli, StressSaysOfEachExtremeWhetherItHolds) {
   const std::string lanczos = kModels + "/baselines/lanczos --render 32x18 --frames 1";
   const Outcome all = shale("stress " + lanczos + " --json --page " + file("page.html"));
