@@ -94,6 +94,36 @@ Graph stand_in(const Kind& kind, uint64_t seed) {
   return must(parse_text(text + "  return " + results + "\n}\n"));
 }
 
+/// QRISP x2 with a table of random alphas and features for each set; the candidate is the frame's
+/// colour, channels 0 to 2 of the input, in all four phases.
+std::string qrisp_stand_in(uint64_t seed) {
+  std::mt19937_64 random(seed);
+  const auto table = [&] {
+    std::string values;
+    for (int i = 0; i < 256; ++i)
+      values += fmt::format("{}{}", i ? "," : "", static_cast<int>(random() % 255) - 127);
+    return values;
+  };
+  std::string text = fmt::format(
+      "graph main {{\n  input %input : i8[1,8,8,22]\n  const %size : shape[4] = [1,8,8,1]\n"
+      "  const %four : shape[4] = [1,8,8,4]\n  const %zero : shape[4] = [0,0,0,0]\n"
+      "  const %past : shape[4] = [0,0,0,6]\n  const %ta : i8[256] = [{}]\n"
+      "  const %tf : i8[256] = [{}]\n",
+      table(), table());
+  std::string colors;
+  for (int c = 0; c < 3; ++c) {
+    text += fmt::format("  const %at{0} : shape[4] = [0,0,0,{0}]\n", c);
+    text += fmt::format("  %c{0} = slice %input, %at{0}, %size : i8[1,8,8,1]\n", c);
+    for (int i = 0; i < 4; ++i) colors += fmt::format("{}%c{}", colors.empty() ? "" : ", ", c);
+  }
+  return text + "  %candidate = concat " + colors +
+         " {axis=3} : i8[1,8,8,12]\n"
+         "  %a = slice %input, %past, %four : i8[1,8,8,4]\n"
+         "  %f = slice %input, %zero, %four : i8[1,8,8,4]\n"
+         "  %alpha = table %a, %ta : i8[1,8,8,4]\n  %feature = table %f, %tf : i8[1,8,8,4]\n"
+         "  return %alpha, %candidate, %feature\n}\n";
+}
+
 class SandwichTest : public ToolDeviceTest<testing::Test> {
  protected:
   static std::unique_ptr<Player> player_of(const std::string& folder, std::optional<Graph> graph,
@@ -114,6 +144,25 @@ class SandwichTest : public ToolDeviceTest<testing::Test> {
     return player_of(models() + kind.model,
                      kind.outputs.empty() ? std::nullopt : std::optional(stand_in(kind, seed)),
                      render, output);
+  }
+  static std::unique_ptr<Player> qrisp_player(Extent render, Extent output) {
+    const std::string folder = source_folder() + "/tests/e2e/qrisp_s_x2";
+    CompileOptions options;
+    options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
+    options.load_shader = [folder](const std::string& path) {
+      return read_text(folder + "/" + path);
+    };
+    options.sizes = {FrameExtent{render.width, render.height},
+                     FrameExtent{output.width, output.height}};
+    options.kernels = {"generic"};
+    options.load_model = [](const std::string& path) -> Result<std::vector<uint8_t>> {
+      const std::string text = qrisp_stand_in(path[path.size() - 6] + kSeed);  // sets/NN.tosa
+      return std::vector<uint8_t>(text.begin(), text.end());
+    };
+    const std::string first = qrisp_stand_in(kSeed);
+    const Compiled compiled =
+        must(compile(std::vector<uint8_t>(first.begin(), first.end()), options));
+    return must(Player::create(*device_, compiled.package));
   }
   static std::string models() { return source_folder() + "/models/"; }
 };
@@ -182,6 +231,58 @@ TEST_F(SandwichTest, ConstantColourStaysWhateverTheNetworkSays) {
   }
 }
 
+/// As QRISP keeps pictures.
+double displayed(double x) { return std::sqrt(x / (1 + x)); }
+
+TEST_F(SandwichTest, QrispKeepsAConstantColour) {
+  // The candidate is a code, half a step of 1/255 away at most; the blend of equal colours in the
+  // half floats of two histories stays there, to their rounding.
+  const Extent render{24, 20}, output{48, 40};
+  const Color color{0.3f, 1.5f, 7.0f};
+  const auto player = qrisp_player(render, output);
+  for (uint32_t t = 0; t < 6; ++t) {
+    const FloatImage shown =
+        must(player->play(frame_of(render, output, t, [&](double, double) { return color; })));
+    double worst = 0;
+    for (size_t i = 0; i < shown.values.size(); ++i)
+      worst = std::max(worst, std::abs(displayed(shown.values[i]) - displayed(color[i % 3])));
+    EXPECT_LE(worst, 0.5 / 255 + (t + 2) * std::exp2(-11)) << "frame " << t;
+  }
+}
+
+TEST_F(SandwichTest, QrispPutsPhasesInPlaceAtAnySize) {
+  // Without a past each output pixel is the code of its texel's colour; with one, it lies between
+  // that and what the history holds.
+  for (const Extent render : {Extent{24, 20}, Extent{25, 19}, Extent{1, 1}, Extent{7, 3}}) {
+    const Extent output{2 * render.width, 2 * render.height};
+    const auto player = qrisp_player(render, output);
+    const SourceFrame frame = noise_frame(render, output, 0, kSeed);
+    const FloatImage shown = must(player->play(frame));
+    double worst = 0;
+    for (uint32_t y = 0; y < output.height; ++y)
+      for (uint32_t x = 0; x < output.width; ++x)
+        for (size_t c = 0; c < 3; ++c)
+          worst = std::max(worst, std::abs(displayed(shown.at(x, y)[c]) -
+                                           displayed(frame.color.at(x / 2, y / 2)[c])));
+    EXPECT_LE(worst, 0.5 / 255 + 3 * std::exp2(-11)) << render.width << "x" << render.height;
+    EXPECT_TRUE(all_finite(must(player->play(noise_frame(render, output, 1, kSeed)))));
+  }
+}
+
+TEST_F(SandwichTest, TheJitterChoosesTheSet) {
+  const Extent render{24, 20}, output{48, 40};
+  const auto player = qrisp_player(render, output);
+  for (uint32_t t = 0; t < 18; ++t) {
+    SourceFrame frame = noise_frame(render, output, t, kSeed);
+    if (t == 17)
+      frame.camera.jitter = {0.42f, 0.1f};  // none of the offsets: that of set 6 is nearest
+    must(player->play(frame));
+    if (t != 16) {
+      EXPECT_EQ(player->program(), t == 17 ? 6u : t);
+    }
+  }
+}
+
 TEST_F(SandwichTest, ResetForgetsThePast) {
   const Extent render{24, 20}, output{48, 40};
   std::vector<std::pair<std::string, std::function<std::unique_ptr<Player>()>>> makers;
@@ -189,6 +290,7 @@ TEST_F(SandwichTest, ResetForgetsThePast) {
     makers.emplace_back(kind.model, [&, kind] { return player_of(kind, kSeed, render, output); });
   makers.emplace_back(
       "mob_fgsr", [&] { return player_of(models() + "baselines/mob_fgsr", {}, render, output); });
+  makers.emplace_back("qrisp", [&] { return qrisp_player(render, output); });
   SourceFrame last = noise_frame(render, output, 9, 77);
   last.camera.cut = true;
   for (const auto& [name, make] : makers) {
@@ -332,6 +434,14 @@ TEST_F(SandwichTest, StaysFiniteOnAnyInput) {
           EXPECT_TRUE(all_finite(must(player->play(frame)))) << kind.model << " frame " << t;
         }
       }
+    }
+  }
+  for (const bool reverse : {false, true}) {
+    const auto player = qrisp_player(render, output);
+    for (uint32_t t = 0; t < 4; ++t) {
+      SourceFrame frame = spoil(noise_frame(render, output, t, kSeed), kSeed + t);
+      frame.camera.reverse_depth = reverse;
+      EXPECT_TRUE(all_finite(must(player->play(frame)))) << "qrisp frame " << t;
     }
   }
   for (const char* name : {"nearest", "bilinear", "catmull_rom", "lanczos", "mob_fgsr"}) {

@@ -119,7 +119,8 @@ std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTim
   std::vector<DispatchTime> median = frames[0];
   for (size_t i = 0; i < median.size(); ++i) {
     std::vector<double> values;
-    for (const std::vector<DispatchTime>& frame : frames) values.push_back(frame[i].time_us);
+    for (const std::vector<DispatchTime>& frame : frames)
+      if (i < frame.size()) values.push_back(frame[i].time_us);  // programs may take turns
     std::nth_element(values.begin(),
                      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
     median[i].time_us = values[values.size() / 2];

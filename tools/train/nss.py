@@ -294,22 +294,26 @@ class Int8Nss:
         return {name: values[name].to(torch.int8).permute(0, 2, 3, 1).contiguous() for name in outputs(self.mode)}
 
     def _convolve(self, node: Conv, x: torch.Tensor) -> torch.Tensor:
-        layer = self.layers[node.name]
-        # Sums of integers: exact in float32 below 2^24, in float64 below 2^53.
-        bound = int((np.abs(layer.weight).reshape(len(layer.bias), -1).sum(1) * 255).max())
-        kind = torch.float32 if bound < 2**24 else torch.float64
-        weight = torch.from_numpy(layer.weight.transpose(0, 3, 1, 2).copy()).to(kind)
-        total = F.conv2d((x - layer.input_zp).to(kind), weight, None, node.stride, 1).long()
-
-        def channels(values: np.ndarray) -> torch.Tensor:
-            return torch.from_numpy(np.asarray(values, np.int64)).view(1, -1, 1, 1)
-
-        shift = channels(layer.shift)
-        total = (total + channels(layer.bias)) * channels(layer.multiplier) + (torch.ones_like(shift) << (shift - 1))
-        out = ((total >> shift) + layer.output_zp).clamp(-128, 127)
+        out = convolve_exactly(self.layers[node.name], x, node.stride)
         if node.name in self.tables:
-            return torch.from_numpy(self.tables[node.name].astype(np.float32))[out + 128]
-        return out.float()
+            return torch.from_numpy(self.tables[node.name].astype(np.float32))[out.long() + 128]
+        return out
+
+
+def convolve_exactly(layer: quantize.Layer, x: torch.Tensor, stride: int = 1) -> torch.Tensor:
+    """int8 codes as floats `[n, c, h, w]` through CONV2D 3x3 pad 1, RESCALE and CLAMP, to codes as floats."""
+    # Sums of integers: exact in float32 below 2^24, in float64 below 2^53.
+    bound = int((np.abs(layer.weight).reshape(len(layer.bias), -1).sum(1) * 255).max())
+    kind = torch.float32 if bound < 2**24 else torch.float64
+    weight = torch.from_numpy(layer.weight.transpose(0, 3, 1, 2).copy()).to(kind)
+    total = F.conv2d((x - layer.input_zp).to(kind), weight, None, stride, 1).long()
+
+    def channels(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.asarray(values, np.int64)).view(1, -1, 1, 1)
+
+    shift = channels(layer.shift)
+    total = (total + channels(layer.bias)) * channels(layer.multiplier) + (torch.ones_like(shift) << (shift - 1))
+    return ((total >> shift) + layer.output_zp).clamp(-128, 127).float()
 
 
 def sigmoid_table(scale: float, zero: int) -> np.ndarray:
