@@ -15,12 +15,15 @@ namespace fs = std::filesystem;
 
 struct Outcome {
   int exit = -1;
-  std::string text;  ///< standard output and error
+  std::string
+      text;  ///< standard output and error; without the latter of JSON, since a busy machine has progress told there
 };
 
 Outcome shale(const std::string& arguments, const std::string& environment = "") {
   Outcome outcome;
-  std::FILE* pipe = popen((environment + " " SHALE_PROGRAM " " + arguments + " 2>&1").c_str(), "r");
+  const bool json = arguments.find("--json") != std::string::npos;
+  const std::string command = environment + " " SHALE_PROGRAM " " + arguments;
+  std::FILE* pipe = popen((command + (json ? " 2>/dev/null" : " 2>&1")).c_str(), "r");
   char buffer[4096];
   for (size_t count; (count = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;)
     outcome.text.append(buffer, count);
