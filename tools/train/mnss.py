@@ -11,7 +11,6 @@ closest to its text. A form of the inpainting net with one weight a pixel, and r
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from torch import nn
 
 import precisions
 import quantize
+import training
 from tosa_writer import GraphWriter
 
 SCALES = (2, 3)
@@ -243,27 +243,9 @@ def tensor_scales(model: Mnss) -> dict[str, dict[str, precisions.Scale]]:
 
 def save_weights(path, model: Mnss, record: dict) -> None:
     """Weights, ranges and training record as .npz; the same model gives the same bytes."""
-    arrays = {name: value.numpy() for name, value in model.state_dict().items()}
-    text = json.dumps({**record, "scale": model.scale, "ranges": model.ranges}, sort_keys=True)
-    np.savez(path, record=np.frombuffer(text.encode(), np.uint8), **arrays)
+    training.save_model(path, model, {**record, "scale": model.scale})
 
 
 def load_model(path) -> tuple[Mnss, dict]:
     """Model and record from a .npz or an own checkpoint (a pickle). Errors: ValueError, OSError."""
-    try:
-        if str(path).endswith(".npz"):
-            with np.load(path, allow_pickle=False) as arrays:
-                record = json.loads(arrays["record"].tobytes())
-                weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
-            ranges = record.pop("ranges")
-        else:
-            state = torch.load(path, map_location="cpu")
-            record, weights, ranges = state["record"], state["model"], state["ranges"]
-        model = Mnss(record["scale"])
-        model.load_state_dict(weights)
-        model.ranges = {name: float(high) for name, high in ranges.items()}
-    except OSError:
-        raise
-    except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
-        raise ValueError(f"{path}: not weights of an MNSS network ({type(error).__name__})") from None
-    return model.eval(), record
+    return training.load_model(path, "an MNSS", lambda record: Mnss(record["scale"]), float)

@@ -12,7 +12,6 @@ Source: NSS notes 1 to 1.4; ranges from calibration (a high quantile) instead of
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 
@@ -23,7 +22,7 @@ from torch import nn
 
 import precisions
 import quantize
-import srpo
+import training
 from nss_passes import MODES, Mode
 from tosa_writer import GraphWriter
 
@@ -476,30 +475,12 @@ def tensor_scales(model: Nss, network: Int8Nss) -> dict[str, dict[str, precision
 
 def save_weights(path, model: Nss, record: dict) -> None:
     """Weights, ranges and training record as .npz; the same model gives the same bytes."""
-    arrays = {name: value.cpu().numpy() for name, value in model.state_dict().items()}
-    text = json.dumps({**record, "mode": model.mode.name, "ranges": model.ranges}, sort_keys=True)
-    np.savez(path, record=np.frombuffer(text.encode(), np.uint8), **arrays)
+    training.save_model(path, model, {**record, "mode": model.mode.name})
 
 
 def load_model(path) -> tuple[Nss, dict]:
     """Model and record from a .npz or an own checkpoint (a pickle). Errors: ValueError, OSError."""
-    try:
-        if str(path).endswith(".npz"):
-            with np.load(path, allow_pickle=False) as arrays:
-                record = json.loads(arrays["record"].tobytes())
-                weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
-            ranges = record.pop("ranges")
-        else:
-            state = torch.load(path, map_location="cpu", weights_only=False)
-            record, weights, ranges = state["record"], state["model"], state["ranges"]
-        model = Nss(MODES[record["mode"]])
-        model.load_state_dict(weights)
-        model.ranges = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
-    except OSError:
-        raise
-    except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
-        raise ValueError(f"{path}: not weights of an NSS network ({type(error).__name__})") from None
-    return model.eval(), record
+    return training.load_model(path, "an NSS", lambda record: Nss(MODES[record["mode"]]), lambda r: (float(r[0]), float(r[1])))
 
 
 def load_average(paths: list) -> tuple[Nss, dict]:

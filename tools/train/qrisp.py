@@ -20,7 +20,6 @@ heads as three tensors, the saturation in place of a linear candidate and featur
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -33,6 +32,7 @@ from torch import nn
 import nss
 import precisions
 import quantize
+import training
 from tosa_writer import GraphWriter
 
 #: Features and convolutions between the first and the last, by the paper's letter.
@@ -390,27 +390,9 @@ def describe(model: Qrisp) -> dict:
 
 def save_weights(path, model: Qrisp, record: dict) -> None:
     """Weights, ranges and training record as .npz; the same model gives the same bytes."""
-    arrays = {name: value.numpy() for name, value in model.state_dict().items()}
-    text = json.dumps({**record, **describe(model), "ranges": model.ranges}, sort_keys=True)
-    np.savez(path, record=np.frombuffer(text.encode(), np.uint8), **arrays)
+    training.save_model(path, model, {**record, **describe(model)})
 
 
 def load_model(path) -> tuple[Qrisp, dict]:
     """Model and record from a .npz or an own checkpoint (a pickle). Errors: ValueError, OSError."""
-    try:
-        if str(path).endswith(".npz"):
-            with np.load(path, allow_pickle=False) as arrays:
-                record = json.loads(arrays["record"].tobytes())
-                weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
-            ranges = record.pop("ranges")
-        else:
-            state = torch.load(path, map_location="cpu")
-            record, weights, ranges = state["record"], state["model"], state["ranges"]
-        model = Qrisp(record["size"], record["scale"], record["conditioned"])
-        model.load_state_dict(weights)
-        model.ranges = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
-    except OSError:
-        raise
-    except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
-        raise ValueError(f"{path}: not weights of a QRISP network ({type(error).__name__})") from None
-    return model.eval(), record
+    return training.load_model(path, "a QRISP", lambda record: Qrisp(record["size"], record["scale"], record["conditioned"]), lambda r: (float(r[0]), float(r[1])))

@@ -29,10 +29,8 @@ Examples:
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +41,7 @@ import fused
 import nss
 import nss_data
 import nss_passes as passes
-from train_srpo import Interruption, load_checkpoint, save_atomically
+import training
 
 CALIBRATION_SEQUENCES = 12
 #: Weights of loss terms, options of the command line: default and what they weigh.
@@ -211,10 +209,7 @@ class Rollout:
 
 def learning_rate(base: float, step: float, steps: int) -> float:
     """5 % linear warm-up, then a cosine down to a thousandth."""
-    warm = 0.05 * steps
-    if step < warm:
-        return base * (step + 1) / (warm + 1)
-    return base * (0.001 + 0.999 * 0.5 * (1 + math.cos(math.pi * (step - warm) / max(steps - warm, 1))))
+    return training.warm_cosine(base, step, steps, 0.05, 0.001)
 
 
 def calibrate(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Namespace) -> None:
@@ -254,12 +249,12 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
                                                      "qat", "minutes", *WEIGHTS)}
     record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
-    path, start = options.out / "last.pt", 0
+    start = 0
     if options.resume:
-        state = load_checkpoint(path)
+        state = training.load_checkpoint(options.out / "last.pt")
         for key, value in record.items():
             if key not in ("seconds", "done", "starts_from", "earlier", "clips") and state["record"].get(key) != value:
-                raise ValueError(f"{path}: checkpoint has {key} {state['record'].get(key)}, the run asks {value}")
+                raise ValueError(f"{options.out}: checkpoint has {key} {state['record'].get(key)}, the run asks {value}")
         model.load_state_dict(state["model"])
         optimizer.load_state_dict(state["optimizer"])
         model.ranges, start = state["ranges"], state["step"]
@@ -268,54 +263,17 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         if options.init:
             earlier = start_weights(model, options.init)
             record["starts_from"] = earlier.get("mode", "weights without a record")
-            record["earlier"] = earlier.get("earlier", []) + [{k: v for k, v in earlier.items() if k != "earlier"}]
+            record["earlier"] = training.earlier_records(earlier)
         if options.qat:
             calibrate(model, clips, options)
-    report(f"seed {options.seed}, step {start} of {options.steps}")
 
-    spent, began, mean = record["seconds"], time.monotonic(), None
+    def rollout_at(step: int) -> Rollout:
+        rng = np.random.default_rng([options.seed, step])
+        return Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
+                                            device=options.device, full=FULL), options)
 
-    def elapsed() -> float:
-        return spent + time.monotonic() - began
-
-    def state_at(step: int) -> dict:
-        record["seconds"], record["done"] = round(elapsed(), 1), step
-        return {"model": model.state_dict(), "optimizer": optimizer.state_dict(), "step": step, "record": record,
-                "ranges": model.ranges}
-
-    step, end = start, options.steps if stop_after is None else min(stop_after, options.steps)
-    with Interruption() as interruption:
-        while step < end and not interruption.asked and not (options.minutes and elapsed() > 60 * options.minutes):
-            rng = np.random.default_rng([options.seed, step])
-            rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                                   device=options.device, full=FULL), options)
-            for first in range(0, options.frames, options.chunk):
-                done = step + first / options.frames
-                if options.minutes:
-                    done = max(done, options.steps * elapsed() / (60 * options.minutes))
-                for group in optimizer.param_groups:
-                    group["lr"] = learning_rate(options.lr, done, options.steps)
-                last = min(first + options.chunk, options.frames)
-                loss = sum(rollout.step(t) for t in range(first, last)) / (last - first)
-                optimizer.zero_grad()
-                loss.backward()
-                torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-                optimizer.step()
-                rollout.detach()
-            step += 1
-            late = rollout.squares[len(rollout.squares) // 2 :]
-            now = (float(loss.detach()), sum(late) / len(late))
-            mean = now if mean is None else tuple(0.97 * a + 0.03 * b for a, b in zip(mean, now))
-            if step % options.every == 0:
-                save_atomically(state_at(step), path)
-                report(f"step {step}/{options.steps} loss {mean[0]:.5f} display {-10 * math.log10(mean[1]):.2f} dB "
-                       f"{record['seconds']:.0f} s")
-    state = state_at(step)
-    save_atomically(state, path)
-    if interruption.asked:
-        report(f"stopped at step {step}; continue with --resume")
-        raise KeyboardInterrupt
-    return state
+    return training.run_sequences(model, optimizer, record, options, start, rollout_at, learning_rate, report, stop_after,
+                                  options.minutes)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -325,70 +283,33 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         epilog="example: python3 tools/train/train_nss.py --mode v1_high --data build/train/nss --out build/train/high",
     )
     parser.add_argument("--mode", choices=sorted(passes.MODES), required=True)
-    parser.add_argument("--data", type=Path, required=True, help="data set folder; its cache is DATA/clips.pt")
-    parser.add_argument("--steps", type=int, default=1000, help="sequences (default: 1000)")
-    parser.add_argument("--batch", type=int, default=4, help="crops per sequence (default: 4)")
-    parser.add_argument("--crop", type=int, default=96, help="crop side in render pixels at ratio 2 (default: 96)")
-    parser.add_argument("--frames", type=int, default=16, help="frames per sequence (default: 16)")
-    parser.add_argument("--chunk", type=int, default=8, help="frames per update of the weights (default: 8)")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--lr", type=float, default=1e-3, help="highest learning rate (default: 0.001)")
-    parser.add_argument("--qat", action="store_true", help="fake the INT8 arithmetic; needs --init")
     for name, (default, what) in WEIGHTS.items():
         parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
     parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
     parser.add_argument("--init", type=Path, nargs="+", metavar="FILE",
                         help="checkpoint or weights to start from, of any mode; the mean of several")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the checkpoint")
-    parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
-    parser.add_argument("--every", type=int, default=10, help="steps between checkpoints (default: 10)")
-    parser.add_argument("--threads", type=int, default=1, help="torch threads (default: 1)")
     parser.add_argument("--device", default="cpu", help="torch device (default: cpu)")
+    training.add_recurrent_options(parser, steps=1000, batch=4, crop=96, frames=16, chunk=8,
+                                   crop_help="crop side in render pixels at ratio 2")
     options = parser.parse_args(arguments)
-    limits = {"steps": (1, 10**7), "batch": (1, 256), "crop": (16, 1024), "frames": (2, 256), "chunk": (1, 256),
-              "seed": (0, 999), "every": (1, 10**7), "threads": (1, 256)}
-    for name, (low, high) in limits.items():
-        if not low <= getattr(options, name) <= high:
-            raise ValueError(f"--{name} must lie in {low} to {high}, found {getattr(options, name)}")
+    training.check_recurrent(options)
     for name in WEIGHTS:
         if not 0 <= getattr(options, name) <= 100:
             raise ValueError(f"--{name} must lie in 0 to 100, found {getattr(options, name)}")
     if not 0 <= options.minutes <= 10**5:
         raise ValueError(f"--minutes must lie in 0 to 100000, found {options.minutes}")
-    if not 0 < options.lr <= 1:
-        raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
     if options.crop % 16:
         raise ValueError(f"--crop must be a multiple of 16, found {options.crop}")
-    if options.qat and not (options.init or options.resume):
-        raise ValueError("--qat needs --init")
     return options
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit code 1 for refused input, 130 after Ctrl-C."""
 
-    def report(line: str) -> None:
-        if sys.stdout.isatty():
-            print(f"\r\033[K{line}", end="", flush=True)
-        else:
-            print(line, flush=True)
+    def run(options: argparse.Namespace, report) -> dict:
+        return train(options, nss_data.load_clips(options.data, options.data / "clips.pt", report), report)
 
-    try:
-        options = parse(arguments)
-        clips = nss_data.load_clips(options.data, options.data / "clips.pt", report)
-        state = train(options, clips, report)
-        record = options.out / "record.json"
-        record.write_text(json.dumps(state["record"], indent=1, sort_keys=True) + "\n")
-    except KeyboardInterrupt:
-        if sys.stdout.isatty():
-            print()
-        return 130
-    except (ValueError, OSError) as error:
-        print(f"train_nss: error: {error}", file=sys.stderr)
-        return 1
-    if sys.stdout.isatty():
-        print()
-    return 0
+    return training.command("train_nss", arguments, parse, run)
 
 
 if __name__ == "__main__":

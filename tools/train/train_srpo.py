@@ -17,9 +17,6 @@ Examples:
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -29,6 +26,7 @@ import torch
 
 import shapes
 import srpo
+import training
 
 PICTURE_SIZE = 128
 
@@ -67,43 +65,6 @@ class Pictures:
         return tensor(lr), tensor(hr)
 
 
-def save_atomically(state: dict, path: Path) -> None:
-    """Writes a temporary file and renames it, so that `path` is always a whole checkpoint."""
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
-
-
-def load_checkpoint(path: Path) -> dict:
-    """A checkpoint of an own run (a pickle). Errors: ValueError, OSError."""
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=False)
-        if not {"model", "optimizer", "step", "record"} <= set(state):
-            raise ValueError("fields are missing")
-        return state
-    except OSError:
-        raise
-    except Exception as error:  # torch raises many kinds for a file that is no checkpoint
-        raise ValueError(f"{path}: not a checkpoint ({type(error).__name__})") from None
-
-
-class Interruption:
-    """Turns Ctrl-C into a flag, so that it takes effect between two steps."""
-
-    def __init__(self):
-        self.asked = False
-
-    def __enter__(self) -> "Interruption":
-        self._previous = signal.signal(signal.SIGINT, self._ask)
-        return self
-
-    def __exit__(self, *_) -> None:
-        signal.signal(signal.SIGINT, self._previous)
-
-    def _ask(self, *_) -> None:
-        self.asked = True
-
-
 def learning_rate(base: float, step: int, steps: int) -> float:
     """Halved every 7/40 of the run, as in 40,000 steps with a halving every 7,000."""
     return base * 0.5 ** int(step * 40 / (7 * steps))
@@ -130,7 +91,7 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
     options.out.mkdir(parents=True, exist_ok=True)
     path, start = options.out / "last.pt", 0
     if options.resume:
-        state = load_checkpoint(path)
+        state = training.load_checkpoint(path)
         for key, value in record.items():
             found = state["record"].get(key)
             if key not in ("seconds", "starts_from") and found != value:
@@ -155,7 +116,7 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
 
     step = start
     end = options.steps if stop_after is None else min(stop_after, options.steps)
-    with Interruption() as interruption:
+    with training.Interruption() as interruption:
         while step < end and not interruption.asked:
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(options.lr, step, options.steps)
@@ -174,10 +135,10 @@ def train(options: argparse.Namespace, report=print, stop_after: int | None = No
             value = float(loss.detach())
             mean_loss = value if mean_loss is None else 0.99 * mean_loss + 0.01 * value
             if step % options.every == 0:
-                save_atomically(state_at(step), path)
+                training.save_atomically(state_at(step), path)
                 report(f"step {step}/{options.steps} loss {mean_loss:.5f} {record['seconds']:.0f} s")
     state = state_at(step)
-    save_atomically(state, path)
+    training.save_atomically(state, path)
     if interruption.asked:
         report(f"stopped at step {step}; continue with --resume")
         raise KeyboardInterrupt
@@ -212,9 +173,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     limits = {"steps": (1, 10**7), "batch": (1, 256), "crop": (16, PICTURE_SIZE), "pictures": (1, 10**4),
               "seed": (0, 999), "every": (1, 10**7)}
-    for name, (low, high) in limits.items():
-        if not low <= getattr(options, name) <= high:
-            raise ValueError(f"--{name} must lie in {low} to {high}, found {getattr(options, name)}")
+    training.check_limits(options, limits)
     for name, high in {"lr": 1, "noise": 2, "rest": 1}.items():
         if not 0 <= getattr(options, name) <= high:
             raise ValueError(f"--{name} must lie in 0 to {high}, found {getattr(options, name)}")
@@ -223,28 +182,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit code 1 for refused input, 130 after Ctrl-C."""
-
-    def report(line: str) -> None:
-        if sys.stdout.isatty():
-            print(f"\r\033[K{line}", end="", flush=True)
-        else:
-            print(line, flush=True)
-
-    try:
-        options = parse(arguments)
-        state = train(options, report)
-        record = options.out / "record.json"
-        record.write_text(json.dumps(state["record"], indent=1, sort_keys=True) + "\n")
-    except KeyboardInterrupt:
-        if sys.stdout.isatty():
-            print()
-        return 130
-    except (ValueError, OSError) as error:
-        print(f"train_srpo: error: {error}", file=sys.stderr)
-        return 1
-    if sys.stdout.isatty():
-        print()
-    return 0
+    return training.command("train_srpo", arguments, parse, train)
 
 
 if __name__ == "__main__":
