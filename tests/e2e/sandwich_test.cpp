@@ -27,8 +27,8 @@ constexpr uint64_t kSeed = 11;
 
 struct Output {
   const char* name;
-  int divide;    ///< of the input's sides
-  int channels;  ///< a multiple of 4
+  uint32_t divide;  ///< of the input's sides
+  int channels;     ///< a multiple of 4
 };
 
 struct Kind {
@@ -55,18 +55,19 @@ const Kind kKinds[] = {
     {"baselines/tss", {}, 6},
 };
 
-/// Same outputs as the trained network, from 8x8 on.
-Graph stand_in(const Kind& kind, uint64_t seed) {
+/// Same outputs as the trained network, for an input of this size.
+Graph stand_in(const Kind& kind, uint64_t seed, FrameExtent size) {
   std::mt19937_64 random(seed);
-  std::string text = "graph main {\n  input %input : i8[1,8,8,12]\n  const %zp : i8[1] = [-128]\n";
+  std::string text =
+      fmt::format("graph main {{\n  input %input : i8[1,{},{},12]\n", size.height, size.width);
   std::string results;
   for (const Output& output : kind.outputs) {
-    const int side = 8 / output.divide;
+    const uint32_t rows = size.height / output.divide, columns = size.width / output.divide;
     std::string table;
     for (int i = 0; i < 256; ++i)
       table += fmt::format("{}{}", i ? "," : "", static_cast<int>(random() % 255) - 127);
     const auto shape = [&](int channels) {
-      return fmt::format("i8[1,{},{},{}]", side, side, channels);
+      return fmt::format("i8[1,{},{},{}]", rows, columns, channels);
     };
     const std::string n = output.name;
     std::string from = "%input";
@@ -84,8 +85,8 @@ Graph stand_in(const Kind& kind, uint64_t seed) {
     for (int i = 1; i < copies; ++i) many += ", " + from;
     text += fmt::format("  %{}.c = concat {} {{axis=3}} : {}\n", n, many, shape(12 * copies));
     text += fmt::format("  const %{}.at : shape[4] = [0,0,0,0]\n", n);
-    text +=
-        fmt::format("  const %{}.size : shape[4] = [1,{},{},{}]\n", n, side, side, output.channels);
+    text += fmt::format("  const %{}.size : shape[4] = [1,{},{},{}]\n", n, rows, columns,
+                        output.channels);
     text += fmt::format("  %{}.s = table %{}.c, %{}.t : {}\n", n, n, n, shape(12 * copies));
     text += fmt::format("  %{} = slice %{}.s, %{}.at, %{}.size : {}\n", n, n, n, n,
                         shape(output.channels));
@@ -96,7 +97,7 @@ Graph stand_in(const Kind& kind, uint64_t seed) {
 
 /// QRISP x2 with a table of random alphas and features for each set; the candidate is the frame's
 /// colour, channels 0 to 2 of the input, in all four phases.
-std::string qrisp_stand_in(uint64_t seed) {
+std::string qrisp_stand_in(uint64_t seed, FrameExtent size) {
   std::mt19937_64 random(seed);
   const auto table = [&] {
     std::string values;
@@ -104,30 +105,33 @@ std::string qrisp_stand_in(uint64_t seed) {
       values += fmt::format("{}{}", i ? "," : "", static_cast<int>(random() % 255) - 127);
     return values;
   };
+  const auto shape = [&](int channels) {
+    return fmt::format("[1,{},{},{}]", size.height, size.width, channels);
+  };
   std::string text = fmt::format(
-      "graph main {{\n  input %input : i8[1,8,8,22]\n  const %size : shape[4] = [1,8,8,1]\n"
-      "  const %four : shape[4] = [1,8,8,4]\n  const %zero : shape[4] = [0,0,0,0]\n"
+      "graph main {{\n  input %input : i8{}\n  const %size : shape[4] = {}\n"
+      "  const %four : shape[4] = {}\n  const %zero : shape[4] = [0,0,0,0]\n"
       "  const %past : shape[4] = [0,0,0,6]\n  const %ta : i8[256] = [{}]\n"
       "  const %tf : i8[256] = [{}]\n",
-      table(), table());
+      shape(22), shape(1), shape(4), table(), table());
   std::string colors;
   for (int c = 0; c < 3; ++c) {
     text += fmt::format("  const %at{0} : shape[4] = [0,0,0,{0}]\n", c);
-    text += fmt::format("  %c{0} = slice %input, %at{0}, %size : i8[1,8,8,1]\n", c);
+    text += fmt::format("  %c{0} = slice %input, %at{0}, %size : i8{1}\n", c, shape(1));
     for (int i = 0; i < 4; ++i) colors += fmt::format("{}%c{}", colors.empty() ? "" : ", ", c);
   }
-  return text + "  %candidate = concat " + colors +
-         " {axis=3} : i8[1,8,8,12]\n"
-         "  %a = slice %input, %past, %four : i8[1,8,8,4]\n"
-         "  %f = slice %input, %zero, %four : i8[1,8,8,4]\n"
-         "  %alpha = table %a, %ta : i8[1,8,8,4]\n  %feature = table %f, %tf : i8[1,8,8,4]\n"
-         "  return %alpha, %candidate, %feature\n}\n";
+  return text + fmt::format(
+                    "  %candidate = concat {0} {{axis=3}} : i8{1}\n"
+                    "  %a = slice %input, %past, %four : i8{2}\n"
+                    "  %f = slice %input, %zero, %four : i8{2}\n"
+                    "  %alpha = table %a, %ta : i8{2}\n  %feature = table %f, %tf : i8{2}\n"
+                    "  return %alpha, %candidate, %feature\n}}\n",
+                    colors, shape(12), shape(4));
 }
 
 class SandwichTest : public ToolDeviceTest<testing::Test> {
  protected:
-  static std::unique_ptr<Player> player_of(const std::string& folder, std::optional<Graph> graph,
-                                           Extent render, Extent output) {
+  static CompileOptions options_of(const std::string& folder, Extent render, Extent output) {
     CompileOptions options;
     options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
     options.load_shader = [folder](const std::string& path) {
@@ -136,32 +140,39 @@ class SandwichTest : public ToolDeviceTest<testing::Test> {
     options.sizes = {FrameExtent{render.width, render.height},
                      FrameExtent{output.width, output.height}};
     options.kernels = {"generic"};  // drivers take long for the fast ones, which pay at other sizes
-    const Compiled compiled = must(compile_graph(graph ? *std::move(graph) : Graph{}, 0, options));
+    return options;
+  }
+  /// Size of the tensor "input".
+  static FrameExtent input_size(const CompileOptions& options) {
+    for (const FrameTensor& tensor : options.frame->tensors)
+      if (tensor.name == "input")
+        return (*tensor.size)(*options.sizes.render, *options.sizes.output);
+    return {};
+  }
+  static std::unique_ptr<Player> player_of(const std::string& folder, std::optional<Graph> graph,
+                                           Extent render, Extent output) {
+    const Compiled compiled = must(
+        compile_graph(graph ? *std::move(graph) : Graph{}, 0, options_of(folder, render, output)));
     return must(Player::create(*device_, compiled.package));
   }
   static std::unique_ptr<Player> player_of(const Kind& kind, uint64_t seed, Extent render,
                                            Extent output) {
-    return player_of(models() + kind.model,
-                     kind.outputs.empty() ? std::nullopt : std::optional(stand_in(kind, seed)),
-                     render, output);
+    const std::string folder = models() + kind.model;
+    std::optional<Graph> graph;
+    if (!kind.outputs.empty())
+      graph = stand_in(kind, seed, input_size(options_of(folder, render, output)));
+    return player_of(folder, std::move(graph), render, output);
   }
   static std::unique_ptr<Player> qrisp_player(Extent render, Extent output) {
-    const std::string folder = source_folder() + "/tests/e2e/qrisp_s_x2";
-    CompileOptions options;
-    options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
-    options.load_shader = [folder](const std::string& path) {
-      return read_text(folder + "/" + path);
-    };
-    options.sizes = {FrameExtent{render.width, render.height},
-                     FrameExtent{output.width, output.height}};
-    options.kernels = {"generic"};
-    options.load_model = [](const std::string& path) -> Result<std::vector<uint8_t>> {
-      const std::string text = qrisp_stand_in(path[path.size() - 6] + kSeed);  // sets/NN.tosa
+    CompileOptions options = options_of(source_folder() + "/tests/e2e/qrisp_s_x2", render, output);
+    const auto network = [size = input_size(options)](uint64_t seed) {
+      const std::string text = qrisp_stand_in(seed, size);
       return std::vector<uint8_t>(text.begin(), text.end());
     };
-    const std::string first = qrisp_stand_in(kSeed);
-    const Compiled compiled =
-        must(compile(std::vector<uint8_t>(first.begin(), first.end()), options));
+    options.load_model = [&](const std::string& path) -> Result<std::vector<uint8_t>> {
+      return network(path[path.size() - 6] + kSeed);  // sets/NN.tosa
+    };
+    const Compiled compiled = must(compile(network(kSeed), options));
     return must(Player::create(*device_, compiled.package));
   }
   static std::string models() { return source_folder() + "/models/"; }
@@ -677,9 +688,13 @@ TEST_P(MnssTest, AnyInputGivesAPictureAndFades) {
     if (t == 2) {
       EXPECT_NE(found.values, expected.values);
     }
-    // The pattern has renewed every pixel twice by then, the second time with weights that saw no damage.
-    if (t >= 2 + 24) {
-      EXPECT_EQ(found.values, expected.values) << "frame " << t;
+    // The pattern has renewed every pixel 12 frames later. What is left in what lies between, and in the weights, dies out;
+    // where 8 bits round, a code of it stays longer.
+    if (t >= 2 + 12) {
+      float worst = 0;
+      for (size_t i = 0; i < found.values.size(); ++i)
+        worst = std::max(worst, std::abs(found.values[i] - expected.values[i]));
+      EXPECT_LE(worst, (t < 2 + 24 ? 2.01f : 1.01f) / 255) << "frame " << t;
     }
   }
 }
