@@ -43,6 +43,10 @@ const Model kModels[] = {
      true,
      false},  // no whole ratio: each pixel by itself
     {"nss_v0_1", "model.tosa", {25, 18}, {43, 31}, true, false},
+    {"qrisp_s_x2", "model.tosa", {20, 14}, {40, 28}, true},
+    {"qrisp_s_x2", "model.tosa", {25, 19}, {50, 38}, true, false},
+    {"mnss_x2", "model.tosa", {20, 14}, {40, 28}, true},
+    {"mnss_x2", "model.tosa", {25, 19}, {50, 38}, true, false},
     {"srpo_x2", "model.tosa", {20, 14}, {40, 28}},
     {"srpo_x3", "model.tosa", {20, 14}, {60, 42}},
     {"baselines/nearest", "", {25, 18}, {43, 31}},
@@ -86,6 +90,7 @@ class FrameForms : public ToolDeviceTest<testing::TestWithParam<Model>> {
     CompileOptions options;
     options.frame = must(parse_frame(must(read_text(folder + "frame.json"))));
     options.load_shader = [folder](const std::string& path) { return read_text(folder + path); };
+    options.load_model = [folder](const std::string& path) { return read_file(folder + path); };
     options.sizes = {FrameExtent{model.render.width, model.render.height},
                      FrameExtent{model.output.width, model.output.height}};
     options.targets = {target};
@@ -102,7 +107,8 @@ class FrameForms : public ToolDeviceTest<testing::TestWithParam<Model>> {
 
   /// The outputs of the last frame's network are what the interpreter makes of its input.
   static void expect_exact(const Compiled& compiled, const Player& player) {
-    const Graph& graph = compiled.graph;
+    const size_t set = player.program();
+    const Graph& graph = set ? compiled.further_graphs[set - 1] : compiled.graph;
     const std::vector<Tensor> expected =
         must(interpret(graph, std::vector<Tensor>{must(player.read_tensor(input_of(graph)))}));
     for (size_t i = 0; i < expected.size(); ++i) {

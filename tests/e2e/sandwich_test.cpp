@@ -164,7 +164,7 @@ class SandwichTest : public ToolDeviceTest<testing::Test> {
     return player_of(folder, std::move(graph), render, output);
   }
   static std::unique_ptr<Player> qrisp_player(Extent render, Extent output) {
-    CompileOptions options = options_of(source_folder() + "/tests/e2e/qrisp_s_x2", render, output);
+    CompileOptions options = options_of(models() + "qrisp_s_x2", render, output);
     const auto network = [size = input_size(options)](uint64_t seed) {
       const std::string text = qrisp_stand_in(seed, size);
       return std::vector<uint8_t>(text.begin(), text.end());
@@ -500,45 +500,7 @@ TEST_F(SandwichTest, DamageStaysLocal) {
   }
 }
 
-/// MNSS at a scale, with plain small networks: every weight of the inpainting one is 0.1, the anti-aliasing one hands the
-/// sample on. The rest is as tools/train/export_mnss.py writes it.
-std::string mnss_frame(uint32_t scale) {
-  std::string inpaint, aa;
-  for (int i = 0; i < 36; ++i) inpaint += fmt::format("\"W{}\": 0.1, ", i);
-  for (int i = 0; i < 18; ++i) aa += fmt::format("\"W{}\": {}, ", i, i % 7 == 0 ? "1.0" : "0.0");
-  constexpr const char* kText = R"({{
-  "schema": "shale-frame/2", "render": [24, 20], "output": [{0}, {1}], "ratio": [{2}, {2}], "pattern": "mnss",
-  "params": [
-    {{"name": "jitter", "type": "vec2"}}, {{"name": "previous_jitter", "type": "vec2"}},
-    {{"name": "exposure", "type": "float"}}, {{"name": "reset", "type": "int", "reset": true}},
-    {{"name": "motion_scale", "type": "vec2", "default": [1, 1]}}, {{"name": "reverse_depth", "type": "int"}},
-    {{"name": "depth_to_view", "type": "vec4"}}],
-  "images": [
-    {{"name": "color", "role": "input", "format": "rgba8_unorm", "size": "render"}},
-    {{"name": "depth", "role": "input", "format": "r32_float", "size": "render"}},
-    {{"name": "motion", "role": "input", "format": "rg16_float", "size": "render"}},
-    {{"name": "output", "role": "output", "format": "rgba8_unorm", "size": "output", "shows": "history"}},
-    {{"name": "history", "role": "history", "format": "rgba8_unorm", "size": "output", "depth": 2}},
-    {{"name": "nearness", "role": "history", "format": "r32_float", "size": "render", "depth": 2}},
-    {{"name": "difference", "role": "internal", "format": "r32_uint", "size": "render"}},
-    {{"name": "weight", "role": "internal", "format": "r32_float", "size": "render"}}],
-  "tensors": [
-    {{"name": "input", "scale": 0.00392156862745098, "zero_point": -128, "size": "output"}},
-    {{"name": "reconstructed", "scale": 0.00392156862745098, "zero_point": -128}}],
-  "passes": [
-    {{"name": "difference", "shader": "difference.comp", "over": "color",
-      "reads": ["color", "depth", "motion", {{"of": "history", "frames_back": 1}},
-                {{"of": "nearness", "frames_back": 1, "as": "past_nearness"}}], "writes": ["difference", "nearness"]}},
-    {{"name": "weight", "shader": "weight.comp", "over": "color", "defines": {{{3}"BIAS": -2.0}},
-      "reads": ["difference"], "writes": ["weight"]}},
-    {{"name": "insert", "shader": "insert.comp", "over": "color", "defines": {{{4}"B0": 0.0, "B1": 0.0, "B2": 0.0}},
-      "reads": ["color", "motion", "weight", {{"of": "history", "frames_back": 1}}], "writes": ["input"]}},
-    {{"graph": "model.tosa"}},
-    {{"name": "show", "shader": "show.comp", "over": "output", "reads": ["reconstructed"], "writes": ["history"]}}]
-}})";
-  return fmt::format(kText, 24 * scale, 20 * scale, scale, inpaint, aa);
-}
-
+/// MNSS at a scale, with plain small networks: every weight of the inpainting one is 0.1, the anti-aliasing one hands the sample on.
 class MnssTest : public SandwichTest, public testing::WithParamInterface<uint32_t> {
  protected:
   static constexpr Extent kRender{24, 20};
@@ -552,15 +514,16 @@ class MnssTest : public SandwichTest, public testing::WithParamInterface<uint32_
     for (int i = -128; i < 128; ++i)
       table += fmt::format("{}{}", i > -128 ? "," : "",
                            seed ? static_cast<int>(random() % 256) - 128 : i);
-    CompileOptions options;
-    options.frame = must(parse_frame(mnss_frame(GetParam())));
-    options.load_shader = [](const std::string& path) {
-      return read_text(source_folder() + "/shaders/frame/mnss/" + path);
-    };
-    const Extent output = output_of(render);
-    options.sizes = {FrameExtent{render.width, render.height},
-                     FrameExtent{output.width, output.height}};
-    options.kernels = {"generic"};
+    CompileOptions options = options_of(models() + "mnss_x2", render, output_of(render));
+    options.frame->min_ratio = options.frame->max_ratio = GetParam();
+    for (FramePass& pass : options.frame->programs[0].passes)
+      for (auto& [name, value] : pass.defines) {
+        const bool diagonal = name[0] == 'W' && std::stoi(name.substr(1)) % 7 == 0;
+        if (pass.name == "weight")
+          value = name == "BIAS" ? "-2.0" : "0.1";
+        else
+          value = diagonal ? "1.0" : "0.0";
+      }
     Graph graph = must(parse_text(fmt::format(
         "graph main {{\n  input %input : i8[1,8,8,3]\n  const %t : i8[256] = [{}]\n"
         "  %reconstructed = table %input, %t : i8[1,8,8,3]\n  return %reconstructed\n}}\n",
