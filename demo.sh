@@ -16,7 +16,7 @@ $shale compile models/nss_v1_high --render 960x540 --output-size 1920x1080 -o ou
 
 echo
 echo "== render frames of a test scene, upscale them, and measure against the truth"
-$shale eval models/scenes/test/motion.json -m out/nss_v1_high.shale -m models/baselines/mob_fgsr \
+$shale eval models/scenes/test/motion.json -m out/nss_v1_high.shale -m models/baselines/tss \
   -m models/baselines/bilinear --frames 8 --page out/report.html --json-file out/report.json
 
 echo
