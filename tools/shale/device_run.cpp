@@ -247,8 +247,15 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
 
 Result<NetworkRun> NetworkRun::prepare(const vk::Context& context, const Package& package,
                                        VkPipelineCache cache, std::string compiles) {
-  SHALE_TRY(DataGraphPipeline pipeline,
-            DataGraphPipeline::create(context, package, {.cache = cache}));
+  DataGraphPipelineOptions options{.cache = cache};
+  const Variant& first = package.variants.front();
+  // Networks that a parameter chooses among differ in their weights alone.
+  if (!first.chosen_by.empty())
+    options.graph =
+        std::find_if(first.segments.begin(), first.segments.end(), [](const Segment& segment) {
+          return segment.kind == SegmentKind::kGraph;
+        })->name;
+  SHALE_TRY(DataGraphPipeline pipeline, DataGraphPipeline::create(context, package, options));
   SHALE_TRY(Session session, Session::create(pipeline));
   SHALE_TRY_VOID(session.allocate_memory());
   SHALE_TRY(vk::Timestamps timestamps,
