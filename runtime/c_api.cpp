@@ -264,8 +264,8 @@ ShaleResult shale_loop_record(ShaleLoop* loop, const char* program, VkCommandBuf
                               ShaleError* error) {
   return guarded(error, [&]() -> Result<void> {
     SHALE_TRY_VOID(given(loop, "loop"));
-    SHALE_TRY_VOID(given(program, "program"));
     SHALE_TRY_VOID(given(commands, "commands"));
+    if (!program) return loop->loop.record(commands);
     return loop->loop.record(std::string_view(program), commands);
   });
 }

@@ -159,7 +159,9 @@ ShaleResult shale_loop_set_param(ShaleLoop* loop, const char* name, const float*
 ShaleResult shale_loop_reset_history(ShaleLoop* loop, ShaleError* error);
 
 /* Adds a program to a command buffer that is being recorded, outside of a render pass. Each record
- * is submitted once, in the order of recording. Changes the bound compute pipeline and set 0. */
+ * is submitted once, in the order of recording. Changes the bound compute pipeline and set 0.
+ * `program` may be null: then it is the only one, or the one that a parameter of the package
+ * chooses; an error where the host has to choose. */
 ShaleResult shale_loop_record(ShaleLoop* loop, const char* program, VkCommandBuffer commands,
                               ShaleError* error);
 

@@ -247,7 +247,10 @@ Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
                                    std::vector<std::string>& warnings) {
   PlannedGraph planned{.name = "graph", .graph = &graph};
   SHALE_TRY(planned.problems, group_problems(graph, profile, options, warnings));
-  const double runs = options.frame ? kRunsOfFrame : kRunsOfNetwork;
+  // A frame runs one of the programs that a parameter chooses among.
+  const bool is_chosen = options.frame && !options.frame->chosen_by.empty();
+  const double runs = is_chosen ? kRunsOfFrame / static_cast<double>(options.frame->programs.size())
+                                : (options.frame ? kRunsOfFrame : kRunsOfNetwork);
   SHALE_TRY(planned.selection,
             select_kernels(planned.problems, profile,
                            {.expected_runs = options.expected_runs.value_or(runs),
@@ -255,11 +258,13 @@ Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
                             .prefer = options.prefer,
                             .choices = options.choices}));
   if (!options.frame) return planned;
-  for (const FrameProgram& program : options.frame->programs)
-    for (const FramePass& pass : program.passes)
+  for (size_t i = 0; i < options.frame->programs.size(); ++i)
+    for (const FramePass& pass : options.frame->programs[i].passes)
       if (pass.graph == file) {
         planned.name = pass.name;
         planned.renamed.insert(pass.tensors.begin(), pass.tensors.end());
+        planned.is_alternative = is_chosen;
+        if (is_chosen && i > 0) planned.suffix = fmt::format("_{}", i);
       }
   return planned;
 }

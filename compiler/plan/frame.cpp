@@ -318,13 +318,26 @@ Result<std::vector<std::string>> parse_names(const Fields& fields, const char* k
   return names;
 }
 
-Result<FramePass> parse_graph_pass(const Fields& fields) {
+/// Which of the sets of weights is read, of how many; one is what frames without sets have.
+struct SetIndex {
+  size_t index = 0, count = 1;
+};
+
+Result<FramePass> parse_graph_pass(const Fields& fields, SetIndex set) {
   FramePass pass;
   pass.name = "graph";
   if (fields.has("name")) {
     SHALE_TRY(pass.name, identifier(fields));
   }
-  SHALE_TRY(pass.graph, fields.text("graph"));
+  if (fields.json()["graph"].is_array()) {
+    const Json& files = fields.json()["graph"];
+    if (files.size() != set.count || !files[set.index].is_string())
+      return bad_input(fields.where(), "\"graph\" must be a file, or one for each of {} sets",
+                       set.count);
+    pass.graph = files[set.index].get<std::string>();
+  } else {
+    SHALE_TRY(pass.graph, fields.text("graph"));
+  }
   if (!fields.has("tensors")) return pass;
   const Json& names = fields.json()["tensors"];
   if (!names.is_object() || names.size() > kMaxEntries)
@@ -338,8 +351,8 @@ Result<FramePass> parse_graph_pass(const Fields& fields) {
   return pass;
 }
 
-Result<FramePass> parse_pass(const Fields& fields) {
-  if (fields.has("graph")) return parse_graph_pass(fields);
+Result<FramePass> parse_pass(const Fields& fields, SetIndex set) {
+  if (fields.has("graph")) return parse_graph_pass(fields, set);
   FramePass pass;
   SHALE_TRY_VOID(refuse_old_fields(fields));
   SHALE_TRY(pass.name, identifier(fields));
@@ -380,15 +393,45 @@ Result<FramePass> parse_pass(const Fields& fields) {
   return pass;
 }
 
-Result<FrameProgram> parse_program(const Fields& fields, std::string name) {
-  FrameProgram program{std::move(name), {}};
+Result<FrameProgram> parse_program(const Fields& fields, std::string name, SetIndex set = {}) {
+  FrameProgram program{std::move(name), {}, {}};
   SHALE_TRY(const std::vector<Fields> passes, fields.list("passes"));
   for (const Fields& entry : passes) {
-    SHALE_TRY(FramePass pass, parse_pass(entry));
+    SHALE_TRY(FramePass pass, parse_pass(entry, set));
+    if (set.index > 0) pass.name += fmt::format("_{}", set.index);
     program.passes.push_back(std::move(pass));
   }
   if (program.passes.empty()) return bad_input(fields.where() + ".passes", "there is no pass");
   return program;
+}
+
+/// "sets": the passes once for each set of weights, and the values of a parameter that choose it.
+Result<void> parse_sets(const Fields& root, Frame& frame) {
+  const Fields sets(root.json()["sets"], root.where() + ".sets");
+  SHALE_TRY(frame.chosen_by, sets.text("chosen_by"));
+  const auto param = std::find_if(frame.params.begin(), frame.params.end(), [&](const Param& each) {
+    return each.name == frame.chosen_by && each.source == ParamSource::kHost;
+  });
+  if (param == frame.params.end())
+    return bad_input(sets.where(), "\"chosen_by\" is \"{}\", which is no parameter of the host",
+                     frame.chosen_by);
+  SHALE_TRY(const std::vector<Fields> entries, sets.list("at"));
+  if (entries.empty()) return bad_input(sets.where(), "\"at\" holds no set");
+  for (size_t i = 0; i < entries.size(); ++i) {
+    SHALE_TRY(FrameProgram program,
+              parse_program(root, fmt::format("set_{}", i), {i, entries.size()}));
+    const Json& values = entries[i].json();
+    if (!values.is_array() || values.size() != param->components)
+      return bad_input(entries[i].where(), "must be a list of {}, as \"{}\" has values",
+                       param->components, param->name);
+    for (const Json& value : values) {
+      if (!value.is_number() || !std::isfinite(value.get<float>()))
+        return bad_input(entries[i].where(), "must be a list of numbers");
+      program.at.push_back(value.get<float>());
+    }
+    frame.programs.push_back(std::move(program));
+  }
+  return {};
 }
 
 }  // namespace
@@ -474,7 +517,10 @@ Result<Frame> parse_frame(const std::string& text) {
   }
   if (root.has("passes") == root.has("programs"))
     return bad_input("frame", "either \"passes\" or \"programs\" must be there");
-  if (root.has("passes")) {
+  if (root.has("sets")) {
+    if (root.has("programs")) return bad_input("frame", "\"sets\" are of \"passes\"");
+    SHALE_TRY_VOID(parse_sets(root, frame));
+  } else if (root.has("passes")) {
     SHALE_TRY(FrameProgram program, parse_program(root, "frame"));
     frame.programs.push_back(std::move(program));
   }

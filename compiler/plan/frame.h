@@ -72,6 +72,7 @@ struct FramePass {
 struct FrameProgram {
   std::string name;
   std::vector<FramePass> passes;
+  std::vector<float> at;  ///< with Frame::chosen_by: the values that choose it
 };
 
 /// As View, with the resource by name.
@@ -89,6 +90,7 @@ struct Frame {
   std::vector<FrameImage> images;
   std::vector<FrameTensor> tensors;
   std::vector<FrameProgram> programs;  ///< at least one
+  std::string chosen_by;  ///< the parameter that chooses among the programs, or empty
 };
 
 /// The model files of a frame's graphs, each once, in the order of the passes.

@@ -391,9 +391,16 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places&
         return std::find(verbs.begin(), verbs.end(), Verb::kStoreElement) != verbs.end();
       }))
     used.source.defines.emplace_back("SHALE_STORES_ELEMENTS", "1");
-  used.source.load = includes_of(pass, options.load_shader, std::move(accessors));
-  dispatch.module = static_cast<uint32_t>(plan.sources.size());
-  plan.sources.push_back(std::move(used.source));
+  used.source.load = includes_of(pass, options.load_shader, accessors);
+  used.source.accessors = std::move(accessors);
+  // A pass that several programs have is compiled once.
+  const auto same =
+      std::find_if(plan.sources.begin(), plan.sources.end(), [&](const ModuleSource& known) {
+        return known.where == used.source.where && known.defines == used.source.defines &&
+               known.accessors == used.source.accessors && known.glsl == used.source.glsl;
+      });
+  dispatch.module = static_cast<uint32_t>(same - plan.sources.begin());
+  if (same == plan.sources.end()) plan.sources.push_back(std::move(used.source));
   add_segment(plan, SegmentKind::kCompute, program, pass.name, std::move(dispatch),
               options.profile);
   for (const auto& [from, to] : shows) add_copy(plan, program, from, to, options.profile);
@@ -437,6 +444,7 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
   SHALE_TRY_VOID(add_images(plan, options));
   variant.params = frame.params;
   variant.programs.clear();
+  variant.chosen_by = frame.chosen_by;
   SHALE_TRY_VOID(check_shown(variant, frame));
 
   const bool is_linear = prefers_buffers(variant, options.profile);
@@ -452,6 +460,7 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
   for (const FrameProgram& program : frame.programs) {
     const uint32_t index = static_cast<uint32_t>(variant.programs.size());
     variant.programs.push_back(program.name);
+    variant.choices.insert(variant.choices.end(), program.at.begin(), program.at.end());
     for (const auto& [from, to] : places.copies) {
       const std::string& name = variant.resources[from].name;
       if (std::any_of(program.passes.begin(), program.passes.end(), [&](const FramePass& pass) {

@@ -75,7 +75,7 @@ Cost share(Cost cost, double time_us, size_t parts) {
 class Tensors {
  public:
   Tensors(Plan& plan, const PlannedGraph& graph, WeightBlob& weights)
-      : plan_(plan), graph_(*graph.graph), weights_(weights) {
+      : plan_(plan), graph_(*graph.graph), suffix_(graph.suffix), weights_(weights) {
     const auto known = [&](ValueId id) {
       const Resource* resource = find_resource(plan, interface_name(graph, graph_.value(id).name));
       index_.emplace(id, static_cast<uint32_t>(resource - plan.variant.resources.data()));
@@ -89,7 +89,7 @@ class Tensors {
     if (found != index_.end()) return found->second;
     const Value& value = graph_.value(id);
     Resource resource =
-        tensor_resource(value, unused_name(plan_, value.name),
+        tensor_resource(value, unused_name(plan_, value.name + suffix_),
                         value.is_constant() ? Category::kWeights : Category::kIntermediate);
     if (value.is_constant()) resource.offset_bytes = weights_.add(value.constant->bytes);
     return index_.emplace(id, add(std::move(resource))).first->second;
@@ -117,6 +117,7 @@ class Tensors {
 
   Plan& plan_;
   const Graph& graph_;
+  const std::string& suffix_;
   WeightBlob& weights_;
   std::map<ValueId, uint32_t> index_;
 };
@@ -158,7 +159,7 @@ Result<void> plan_interface(Plan& plan, const PlannedGraph& graph) {
                        dtype_info(resource.dtype).name, shape_text(resource.shape),
                        dtype_info(known->dtype).name, shape_text(known->shape));
     if (category == Category::kOutput) {
-      if (known->category == Category::kOutput)
+      if (known->category == Category::kOutput && !graph.is_alternative)
         return bad_input(where, "is an output of two graphs of the package");
       known->category = Category::kOutput;  // one graph gives what the other takes
     }
@@ -202,8 +203,8 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
     for (size_t part = 0; part < sources.size(); ++part) {
       KernelSource& source = sources[part];
       Dispatch dispatch;
-      dispatch.name =
-          dispatch_name(plan, *graph.graph, graph.graph->value(problem.group.result).name, part);
+      dispatch.name = dispatch_name(
+          plan, *graph.graph, graph.graph->value(problem.group.result).name + graph.suffix, part);
       dispatch.kernel = family.name;
       dispatch.workgroups = source.workgroups;
       dispatch.cost = share(problem.cost, work_time_us(work, profile.ns), sources.size());

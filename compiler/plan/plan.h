@@ -20,6 +20,7 @@ struct ModuleSource {
   Defines defines;
   std::string where;   ///< names it in messages
   IncludeLoader load;  ///< beside shaders/include
+  std::string accessors = {};  ///< of a pass: what `load` gives for them
 };
 
 /// A variant whose modules are still sources: Dispatch::module counts `sources`. Everything else is final: resources with
@@ -53,6 +54,10 @@ struct PlannedGraph {
   Selection selection = {};
   /// Names of graph inputs and outputs in the package, where they differ from those in the graph.
   std::map<std::string, std::string> renamed = {};
+  /// One of several of which a frame runs one: its outputs may be those of the others. `suffix` tells its dispatches from
+  /// theirs.
+  bool is_alternative = false;
+  std::string suffix = {};
 };
 
 /// Adds the inputs and outputs of a graph as resources. One that another graph of the package has under the same name is

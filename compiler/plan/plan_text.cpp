@@ -90,7 +90,13 @@ std::string print_plan(const Plan& plan) {
     number += segment.dispatches.size();
   }
   for (uint32_t program = 0; program < variant.programs.size(); ++program) {
-    text += fmt::format("program {}\n", variant.programs[program]);
+    const size_t values = variant.choices.size() / variant.programs.size();
+    text += fmt::format("program {}", variant.programs[program]);
+    if (values != 0)
+      text +=
+          fmt::format(", {} nearest {}", variant.chosen_by,
+                      fmt::join(std::span(variant.choices).subspan(program * values, values), ","));
+    text += '\n';
     for (size_t s = 0; s < variant.segments.size(); ++s) {
       if (variant.segments[s].program != program) continue;
       for (size_t d = 0; d < variant.segments[s].dispatches.size(); ++d)

@@ -323,6 +323,29 @@ Result<void> check_params(const std::string& where, const Variant& variant) {
   return {};
 }
 
+/// What chooses among the programs. The parameters are sound.
+Result<void> check_choices(const std::string& where, const Variant& variant) {
+  if (variant.chosen_by.empty()) {
+    if (variant.choices.empty()) return {};
+    return bad_input(where, "has {} values that choose programs, and no parameter",
+                     variant.choices.size());
+  }
+  const auto param =
+      std::find_if(variant.params.begin(), variant.params.end(), [&](const Param& each) {
+        return each.name == variant.chosen_by && each.source == ParamSource::kHost;
+      });
+  if (param == variant.params.end())
+    return bad_input(where, "programs are chosen by \"{}\", which is no parameter of the host",
+                     variant.chosen_by);
+  const size_t expected = variant.programs.size() * param->components;
+  if (variant.choices.size() != expected)
+    return bad_input(where, "{} values choose programs, expected {} for each of {}",
+                     variant.choices.size(), param->components, variant.programs.size());
+  for (const float value : variant.choices)
+    if (!std::isfinite(value)) return bad_input(where, "{} chooses no program", value);
+  return {};
+}
+
 Result<void> check_view(const std::string& where, const View& view, const Variant& variant) {
   SHALE_TRY_VOID(check_name(where, "title", view.title));
   if (view.resource >= variant.resources.size())
@@ -456,6 +479,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
   }
   SHALE_TRY_VOID(check_programs(where, variant));
   SHALE_TRY_VOID(check_params(where, variant));
+  SHALE_TRY_VOID(check_choices(where, variant));
   for (size_t i = 0; i < variant.views.size(); ++i)
     SHALE_TRY_VOID(check_view(fmt::format("{}, view {}", where, i), variant.views[i], variant));
   for (size_t i = 0; i < variant.proofs.size(); ++i) {

@@ -92,7 +92,12 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
   for (size_t i = 0; i < variant.resources.size(); ++i)
     dump_resource(text, i, variant.resources[i]);
   for (uint32_t i = 0; i < variant.programs.size(); ++i) {
-    line(text, "  program \"{}\"", variant.programs[i]);
+    const size_t values = variant.choices.size() / variant.programs.size();
+    line(text, "  program \"{}\"{}", variant.programs[i],
+         values == 0
+             ? ""
+             : fmt::format(" where \"{}\" is nearest {}", variant.chosen_by,
+                           fmt::join(std::span(variant.choices).subspan(i * values, values), ",")));
     for (const Segment& segment : program_segments(variant, i))
       dump_segment(text, segment, variant);
   }

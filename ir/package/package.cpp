@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <limits>
 #include <map>
 
 #include "ir/schema/package_generated.h"
@@ -133,9 +134,11 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto params = write_all<fbs::Param>(builder, v.params, write_param);
   const auto views = write_all<fbs::View>(builder, v.views, write_view);
   const auto programs = builder.CreateVectorOfStrings(v.programs);
+  const auto chosen_by = v.chosen_by.empty() ? 0 : builder.CreateString(v.chosen_by);
+  const auto choices = v.choices.empty() ? 0 : builder.CreateVector(v.choices);
   return fbs::CreateVariant(builder, target, requirements, v.arena_bytes, resources, segments,
                             modules, proofs, params, views, programs,
-                            static_cast<fbs::DeviceClass>(v.device_class));
+                            static_cast<fbs::DeviceClass>(v.device_class), chosen_by, choices);
 }
 
 // ---- Reading: verified tables to plain data. check_package judges the enum values later.
@@ -300,6 +303,8 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   variant.views = copy.tables(v.views(), read_view);
   if (v.programs()) variant.programs = copy.texts(v.programs());
   variant.device_class = static_cast<DeviceClass>(v.device_class());
+  if (v.chosen_by()) variant.chosen_by = copy.text(v.chosen_by());
+  if (v.choices()) variant.choices = copy.scalars(v.choices());
   return variant;
 }
 
@@ -384,6 +389,22 @@ std::span<const Segment> program_segments(const Variant& variant, uint32_t progr
   // Not equal_range: clang 14 cannot compile the subrange of GCC 12's library.
   return {std::ranges::lower_bound(variant.segments, program, {}, &Segment::program),
           std::ranges::upper_bound(variant.segments, program, {}, &Segment::program)};
+}
+
+uint32_t chosen_program(const Variant& variant, std::span<const float> value) {
+  uint32_t nearest = 0;
+  double least = std::numeric_limits<double>::infinity();
+  for (uint32_t i = 0; i < variant.choices.size() / std::max<size_t>(value.size(), 1); ++i) {
+    double distance = 0;
+    for (size_t c = 0; c < value.size(); ++c) {
+      const double away = double{value[c]} - variant.choices[i * value.size() + c];
+      distance += away * away;
+    }
+    if (distance >= least) continue;
+    least = distance;
+    nearest = i;
+  }
+  return nearest;
 }
 
 uint32_t param_bytes(const Variant& variant) {

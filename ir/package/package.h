@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 4;
+inline constexpr uint32_t kPackageMinor = 5;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -259,12 +259,21 @@ struct Variant {
   std::vector<Param> params;
   std::vector<View> views;
   std::vector<std::string> programs{"frame"};  ///< unique identifiers, at least one
+  /// The programs may be forms of one frame, of which a parameter of the host chooses: `chosen_by`
+  /// is its name, and `choices` has for each program as many values as it has components. Then a
+  /// record is the first one after a reset for all programs. Empty: the host names programs.
+  std::string chosen_by;
+  std::vector<float> choices;
   DeviceClass device_class = DeviceClass::kAny;
   bool operator==(const Variant&) const = default;
 };
 
 /// The segments of a program, in order. The variant must pass check_package.
 std::span<const Segment> program_segments(const Variant& variant, uint32_t program);
+
+/// The program whose values in Variant::choices lie nearest to the parameter's, the first of equal
+/// ones; 0 where no parameter chooses. The variant must pass check_package.
+uint32_t chosen_program(const Variant& variant, std::span<const float> value);
 
 /// How a package came about; no paths, no times.
 struct Provenance {

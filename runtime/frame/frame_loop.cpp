@@ -77,6 +77,7 @@ struct FrameLoop::State {
   std::vector<uint8_t> params;  // push constants of the passes
   uint64_t frame = 0;
   bool clear_history = true;
+  uint32_t chosen = 0;  // program, where a parameter chooses
 
   Result<void> create_tensors();
   Result<void> create_images();
@@ -372,6 +373,8 @@ void FrameLoop::State::set(const Param& param, std::span<const float> values) {
     std::memcpy(&params[param.offset_bytes + 4 * i],
                 param.is_integer ? static_cast<const void*>(&whole) : &values[i], 4);
   }
+  if (param.name == kernels->variant().chosen_by)
+    chosen = chosen_program(kernels->variant(), values);
 }
 
 Result<void> FrameLoop::set_param(std::string_view name, std::span<const float> values) {
@@ -396,10 +399,16 @@ void FrameLoop::reset_history() {
   for (Program& program : state_->programs) program.is_reset = true;
 }
 
+std::optional<uint32_t> FrameLoop::next_program() const {
+  if (state_->programs.size() > 1 && variant().chosen_by.empty()) return std::nullopt;
+  return state_->chosen;
+}
+
 Result<void> FrameLoop::record(VkCommandBuffer commands, vk::Timestamps* timestamps) {
-  if (state_->programs.size() > 1)
+  const std::optional<uint32_t> program = next_program();
+  if (!program)
     return bad_input("", "the package has {} programs, and none is named", state_->programs.size());
-  return record(0u, commands, timestamps);
+  return record(*program, commands, timestamps);
 }
 
 Result<void> FrameLoop::record(std::string_view program, VkCommandBuffer commands,
@@ -439,6 +448,8 @@ Result<void> FrameLoop::State::record(Program& program, std::span<const Step> st
   if (clear_history) record_clears(commands);
   clear_history = false;
   program.is_reset = false;
+  if (!variant.chosen_by.empty())  // the programs are forms of one frame
+    for (Program& other : programs) other.is_reset = false;
   kernels->barrier(commands);
   record_steps(
       commands, *kernels, steps, slot.sets, params,

@@ -5,6 +5,7 @@
 #include <vulkan/vulkan.h>
 
 #include <memory>
+#include <optional>
 #include <span>
 #include <string_view>
 
@@ -102,14 +103,19 @@ class FrameLoop {
   Result<void> set_param(std::string_view name, std::span<const float> values);
 
   /// The next record finds all histories and network outputs zero, as after a scene cut; and the
-  /// package's reset parameter is 1 in each program's next record. The first records are such ones.
+  /// package's reset parameter is 1 in each program's next record, or where a parameter chooses
+  /// among them, in the next record. The first records are such ones.
   void reset_history();
 
-  /// Adds the package's only program to a command buffer that is being recorded, outside of a
-  /// render pass, and moves the histories on. Changes its bound compute pipeline and set 0.
+  /// The program that a record without a name takes: the package's only one, or the one that its
+  /// parameter chooses (Variant::chosen_by) as it is now. None where the host has to name one.
+  std::optional<uint32_t> next_program() const;
+
+  /// Adds next_program() to a command buffer that is being recorded, outside of a render pass, and
+  /// moves the histories on. Changes its bound compute pipeline and set 0.
   /// `timestamps` gains an interval for each dispatch; it may be null.
-  /// Errors: kBadInput, naming the image that is not bound yet, if there are several programs, or
-  /// if the timestamps hold too few intervals; kDevice. Nothing was recorded then, and it does not
+  /// Errors: kBadInput, naming the image that is not bound yet, if there is no next program, or if
+  /// the timestamps hold too few intervals; kDevice. Nothing was recorded then, and it does not
   /// count.
   Result<void> record(VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
 

@@ -93,7 +93,7 @@ TEST(SpirvGraph, RoundTripsAllGoldenGraphs) {
 }
 
 TEST(SpirvGraph, RoundTripsTheModels) {
-  for (const char* model : {"nss_v1_high", "nss_v1_low", "nss_v0_1", "srpo_x2", "srpo_x3"}) {
+  for (const char* model : {"nss_v1_high", "nss_v1_low", "nss_v0_1", "mnss_x2", "qrisp_s_x2", "srpo_x2", "srpo_x3"}) {
     const std::string path = fmt::format("{}/models/{}/model.tosa", SHALE_SOURCE_DIR, model);
     const Graph graph = must(read_tosa(must(read_file(path))), path);
     for (const bool external : {false, true}) {

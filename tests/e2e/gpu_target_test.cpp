@@ -62,6 +62,8 @@ INSTANTIATE_TEST_SUITE_P(Networks, GpuTarget,
                          testing::Values(Network{"nss_v1_high", {1, 64, 64, 12}, 14},
                                          Network{"nss_v1_low", {1, 64, 64, 12}, 14},
                                          Network{"nss_v0_1", {1, 40, 48, 12}, 18},
+                                         Network{"qrisp_s_x2", {1, 22, 36, 22}, 5},
+                                         Network{"mnss_x2", {1, 21, 35, 3}, 4},
                                          Network{"srpo_x2", {1, 21, 35, 3}, 3},
                                          Network{"srpo_x3", {1, 21, 35, 3}, 3}),
                          [](const testing::TestParamInfo<Network>& test) {

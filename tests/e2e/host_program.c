@@ -359,8 +359,10 @@ static void record_frame(ShaleLoop* loop, Slot* slot, uint32_t frame) {
     image_barrier(slot->commands, image->image, kFilled, kRead);
   }
   if (frame == kResetBefore) check(shale_loop_reset_history(loop, &last));
-  for (uint32_t i = 0; i < shale_loop_program_count(loop); ++i)
-    check(shale_loop_record(loop, shale_loop_program_name(loop, i), slot->commands, &last));
+  const uint32_t programs = shale_loop_program_count(loop);
+  for (uint32_t i = 0; i < programs; ++i)  // the only one needs no name
+    check(shale_loop_record(loop, programs == 1 ? NULL : shale_loop_program_name(loop, i),
+                            slot->commands, &last));
   for (uint32_t i = 0; i < slot->image_count; ++i) {
     const FrameImage* image = &slot->images[i];
     if (!image->info.is_output) continue;

@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <functional>
+#include <limits>
 #include <random>
 
 #include "ir/base/file.h"
@@ -107,6 +109,8 @@ Package sample_package() {
                 {"post", SegmentKind::kCompute, {show}},
                 {"network_again", SegmentKind::kGraph, {conv3}, 1}};
   v.programs = {"frame", "again"};
+  v.chosen_by = "jitter";
+  v.choices = {0.25f, -0.5f, 0, 0.5f};
   v.device_class = DeviceClass::kDot8Gpu;
   v.modules = {{0x07230203, 0x10000, 0, 9, 0}, {0x07230203, 0x10000, 0, 9, 0, 7}};
   v.proofs = {{"conv1", {-5, -6}, {5, 6}, {10, 12}}};
@@ -239,9 +243,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.4 is newer than 1.4, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.5 is newer than 1.5, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.4 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.5 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -523,6 +527,17 @@ const BadPackage kBadPackages[] = {
      "variant 0, segment 0: program 1 does not follow program 0"},
     {"LastProgramWithoutSegment", [](Package& p) { variant(p).programs.push_back("third"); },
      "variant 0: program \"third\" has no segment"},
+    {"ChosenByNothing", [](Package& p) { variant(p).chosen_by.clear(); },
+     "variant 0: has 4 values that choose programs, and no parameter"},
+    {"ChosenByNoParameter", [](Package& p) { variant(p).chosen_by = "index"; },
+     "variant 0: programs are chosen by \"index\", which is no parameter of the host"},
+    {"ChosenByTheLoopsParameter", [](Package& p) { variant(p).chosen_by = "reset"; },
+     "variant 0: programs are chosen by \"reset\", which is no parameter of the host"},
+    {"TooFewChoices", [](Package& p) { variant(p).choices.pop_back(); },
+     "variant 0: 3 values choose programs, expected 2 for each of 2"},
+    {"ChoiceNotFinite",
+     [](Package& p) { variant(p).choices[2] = std::numeric_limits<float>::infinity(); },
+     "variant 0: inf chooses no program"},
     {"DispatchNameTwice", [](Package& p) { dispatch(p, 1, 1).name = "conv1"; },
      "variant 0, segment 1, dispatch 1: the dispatch name \"conv1\" is taken already"},
     {"NoKernelName", [](Package& p) { dispatch(p, 1, 1).kernel.clear(); },
@@ -665,15 +680,17 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.4\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.5\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\" (class dot8-gpu), arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",
            "      1 intermediate   i8[1,8,16,4] 512 bytes at 512 \"mid\"\n",
            "      5 image history  rgba8_unorm 16x8 depth 3 \"history\"\n",
            "      8 output         i8[2,3] 6 bytes depth 2 \"past\"\n",
-           "  program \"frame\"\n  segment \"pre\" (compute): 1 dispatches\n",
-           "  program \"again\"\n  segment \"network_again\" (graph): 1 dispatches\n",
+           "  program \"frame\" where \"jitter\" is nearest 0.25,-0.5\n  segment \"pre\" "
+           "(compute): 1 dispatches\n",
+           "  program \"again\" where \"jitter\" is nearest 0,0.5\n  segment \"network_again\" "
+           "(graph): 1 dispatches\n",
            "       4 sampler reads \"color\"\n",
            "  segment \"network\" (graph): 2 dispatches\n",
            "    \"conv1\": conv2d_s8_f32exact module 1 grid 4x1x1\n",
@@ -685,6 +702,16 @@ TEST(Package, DumpShowsEveryPart) {
            "        1 -6..6, any partial sum within 12\n",
        })
     EXPECT_NE(text.find(part), std::string::npos) << part << "\nis not in\n" << text;
+}
+
+TEST(Package, NearestChoiceIsTheProgram) {
+  Variant variant = sample_package().variants[0];
+  EXPECT_EQ(chosen_program(variant, std::array{0.2f, -0.1f}), 0u);
+  EXPECT_EQ(chosen_program(variant, std::array{0.1f, 0.4f}), 1u);
+  variant.choices = {0, 0, 0, 1};
+  EXPECT_EQ(chosen_program(variant, std::array{3.0f, 0.5f}), 0u);  // the first of equal ones
+  variant.choices.clear();
+  EXPECT_EQ(chosen_program(variant, std::array{1.0f, 1.0f}), 0u);
 }
 
 TEST(ImageFormats, NamesLeadBack) {

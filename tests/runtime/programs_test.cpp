@@ -136,11 +136,32 @@ TEST_F(ProgramsTest, HaveToBeNamed) {
   FrameLoop loop = must(FrameLoop::create(context(), small_programs()));
   run([&](VkCommandBuffer commands) {
     EXPECT_EQ(error_text(loop.record(commands)), "the package has 2 programs, and none is named");
+    EXPECT_EQ(loop.next_program(), std::nullopt);
     EXPECT_EQ(error_text(loop.record("betwixt", commands)),
               "the package has no program \"betwixt\"");
     EXPECT_EQ(error_text(loop.record(2u, commands)), "the package has no program 2, there are 2");
   });
   EXPECT_EQ(loop.frame(), 0u);
+}
+
+TEST_F(ProgramsTest, AreChosenByAParameter) {
+  Package package = small_programs();
+  package.variants[0].params = {{"pick", false, 1, 0, ParamSource::kHost, {1.0f}}};
+  package.variants[0].chosen_by = "pick";
+  package.variants[0].choices = {0.5f, 1.0f};
+  FrameLoop loop = must(FrameLoop::create(context(), package));
+  EXPECT_EQ(loop.next_program(), 1u);  // by the default
+  auto timestamps = must(vk::Timestamps::create(context(), 2));
+  const auto recorded = [&](float pick) {
+    must(loop.set_param("pick", std::array{pick}));
+    run([&](VkCommandBuffer commands) { must(loop.record(commands, &timestamps)); });
+    const std::span<const Segment> segments =
+        program_segments(loop.variant(), loop.next_program().value());
+    return must(measured_times(timestamps, segments)).front().name;
+  };
+  EXPECT_EQ(recorded(0.6f), "scale");
+  EXPECT_EQ(recorded(9.0f), "mix");
+  EXPECT_EQ(recorded(-3.0f), "scale");
 }
 
 TEST_F(ProgramsTest, LeaveHistoriesToFrameLoops) {

@@ -315,8 +315,11 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   options.load_shader = [folder = model.frame_folder](const std::string& path) {
     return read_text((fs::path(folder) / path).string());
   };
-  options.load_model = [folder = model.frame_folder](const std::string& path) {
-    return read_file((fs::path(folder) / path).string());
+  options.load_model = [folder = model.frame_folder, precision = precision](
+                           const std::string& path) -> Result<std::vector<uint8_t>> {
+    fs::path file = fs::path(folder) / path;
+    if (precision != "int8") file.replace_extension(precision + file.extension().string());
+    return read_file(file.string());
   };
   for (const std::string& pass : dump_after)
     if (pass != "all" && !find_pass(pass))

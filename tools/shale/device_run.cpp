@@ -119,7 +119,8 @@ std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTim
   std::vector<DispatchTime> median = frames[0];
   for (size_t i = 0; i < median.size(); ++i) {
     std::vector<double> values;
-    for (const std::vector<DispatchTime>& frame : frames) values.push_back(frame[i].time_us);
+    for (const std::vector<DispatchTime>& frame : frames)
+      if (i < frame.size()) values.push_back(frame[i].time_us);  // programs may take turns
     std::nth_element(values.begin(),
                      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2), values.end());
     median[i].time_us = values[values.size() / 2];
@@ -246,8 +247,15 @@ Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& p
 
 Result<NetworkRun> NetworkRun::prepare(const vk::Context& context, const Package& package,
                                        VkPipelineCache cache, std::string compiles) {
-  SHALE_TRY(DataGraphPipeline pipeline,
-            DataGraphPipeline::create(context, package, {.cache = cache}));
+  DataGraphPipelineOptions options{.cache = cache};
+  const Variant& first = package.variants.front();
+  // Networks that a parameter chooses among differ in their weights alone.
+  if (!first.chosen_by.empty())
+    options.graph =
+        std::find_if(first.segments.begin(), first.segments.end(), [](const Segment& segment) {
+          return segment.kind == SegmentKind::kGraph;
+        })->name;
+  SHALE_TRY(DataGraphPipeline pipeline, DataGraphPipeline::create(context, package, options));
   SHALE_TRY(Session session, Session::create(pipeline));
   SHALE_TRY_VOID(session.allocate_memory());
   SHALE_TRY(vk::Timestamps timestamps,

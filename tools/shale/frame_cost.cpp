@@ -52,8 +52,13 @@ Result<FrameCost> FrameCost::create(const ModelFiles& model, const CompileOption
 Result<std::vector<PassWork>> FrameCost::passes(FrameExtent render, FrameExtent output,
                                                 const Graph* graph) const {
   const Frame& frame = *model_->frame;
+  const auto passes_of_first = static_cast<size_t>(
+      std::count_if(frame.programs[0].passes.begin(), frame.programs[0].passes.end(),
+                    [](const FramePass& pass) { return pass.graph.empty(); }));
   std::vector<PassWork> works;
   for (const FramePass* pass : shader_passes(frame)) {
+    // Of programs that a parameter chooses among, a frame runs one.
+    if (!frame.chosen_by.empty() && works.size() == passes_of_first) break;
     PassWork work{.name = pass->name};
     double pixels = 0;
     if (pass->over_size) {

@@ -411,7 +411,7 @@ Result<int> play(const Arguments& arguments) {
     SHALE_TRY(source, open_scene(arguments.input, arguments.source, device, sizes.first,
                                  sizes.second, sandwich.pattern));
   }
-  if (arguments.check && !sandwich.graph)
+  if (arguments.check && sandwich.graphs.empty())
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);
   SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind));
 
@@ -469,7 +469,9 @@ Result<int> play(const Arguments& arguments) {
       }
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
-        SHALE_TRY(const std::optional<std::string> difference, check(*player, *sandwich.graph));
+        const size_t which = sandwich.graphs.size() > 1 ? player->program() : 0;
+        SHALE_TRY(const std::optional<std::string> difference,
+                  check(*player, sandwich.graphs[which]));
         entry["network"] = difference ? *difference : "equals the interpreter";
         if (difference) exit = kRefused;
       }

@@ -190,8 +190,15 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
   sandwich.pattern = model.frame->pattern;
   sandwich.package = std::move(compiled.package);
   if (model.bytes.empty()) return sandwich;
-  SHALE_TRY(sandwich.graph, import_model(model.bytes, options.import));
-  SHALE_TRY_VOID(match_shapes(*sandwich.graph, sandwich.package.variants.front()));
+  SHALE_TRY(sandwich.graphs.emplace_back(), import_model(model.bytes, options.import));
+  if (!model.frame->chosen_by.empty())
+    for (const std::string& file : graph_files(*model.frame)) {
+      if (file == graph_files(*model.frame).front()) continue;
+      SHALE_TRY(const std::vector<uint8_t> bytes, options.load_model(file));
+      SHALE_TRY(sandwich.graphs.emplace_back(), import_model(bytes, options.import));
+    }
+  for (Graph& graph : sandwich.graphs)
+    SHALE_TRY_VOID(match_shapes(graph, sandwich.package.variants.front()));
   return sandwich;
 }
 
@@ -322,7 +329,12 @@ Result<FloatImage> Player::play(const SourceFrame& frame, std::vector<DispatchTi
 }
 
 Result<void> Player::run(std::vector<DispatchTime>* times) {
-  const std::span<const Segment> segments(loop_.variant().segments);
+  const std::optional<uint32_t> program = loop_.next_program();
+  if (!program)
+    return bad_input("", "the package has {} programs, and none is named",
+                     loop_.variant().programs.size());
+  program_ = *program;
+  const std::span<const Segment> segments = program_segments(loop_.variant(), *program);
   std::optional<vk::Timestamps> timestamps;
   if (times) {
     SHALE_TRY(timestamps, vk::Timestamps::create(context_, interval_count(segments)));
@@ -342,7 +354,7 @@ Result<void> Player::run(std::vector<DispatchTime>* times) {
                        VK_ACCESS_TRANSFER_WRITE_BIT | VK_ACCESS_TRANSFER_READ_BIT,
                        VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                        VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
-    recorded = loop_.record(commands, timestamps ? &*timestamps : nullptr);
+    recorded = loop_.record(*program, commands, timestamps ? &*timestamps : nullptr);
     vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                        VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT,
                        VK_ACCESS_TRANSFER_READ_BIT);

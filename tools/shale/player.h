@@ -26,8 +26,10 @@ namespace shale {
 struct Sandwich {
   std::string name;
   Package package;
-  SamplingPattern pattern{};   ///< that it is made for; of a package not known
-  std::optional<Graph> graph;  ///< before the passes; empty for a package, or without a network
+  SamplingPattern pattern{};  ///< that it is made for; of a package not known
+  /// Before the passes: one, or where a parameter chooses among programs, the one of each. None for
+  /// a package, or without a network.
+  std::vector<Graph> graphs;
 };
 
 /// Sizes of the images color and output.
@@ -52,6 +54,8 @@ class Player {
   /// True if frames go in and out as a display shows them.
   bool is_display() const;
   const Variant& variant() const { return loop_.variant(); }
+  /// The program that the last frame ran.
+  uint32_t program() const { return program_; }
 
   /// The next frame starts without a past. Frames with a cut do so themselves.
   void reset();
@@ -104,6 +108,7 @@ class Player {
   std::map<std::string, HostImage> images_;
   std::array<float, 2> previous_jitter_{};
   bool has_past_ = false;
+  uint32_t program_ = 0;
   std::string compiles_;  ///< what the first frame waits for; empty after it
 };
 

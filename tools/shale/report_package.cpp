@@ -92,6 +92,8 @@ Result<PackageReport> cost_of_package(const Package& package, const ReportArgume
         ++report.joined;
       }
       report.dispatches.push_back(row);
+      // Of programs that a parameter chooses among, a frame runs one.
+      if (!report.variant->chosen_by.empty() && segment.program != 0) continue;
       report.total.macs += dispatch.cost.macs;
       report.total.ops += dispatch.cost.ops;
       report.total.bytes_read += dispatch.cost.bytes_read;

@@ -85,6 +85,8 @@ Result<Contender> contender_of(const std::string& path, const std::string& preci
   contender.hash = stable_hash(contender.files.bytes);
   SHALE_TRY(contender.hash, hash_folder(fs::path(contender.files.frame_folder), contender.hash));
   std::set<fs::path> folders;
+  for (const std::string& file : graph_files(*contender.files.frame))
+    folders.insert((fs::path(contender.files.frame_folder) / file).parent_path());
   for (const FramePass* pass : shader_passes(*contender.files.frame))
     folders.insert((fs::path(contender.files.frame_folder) / pass->shader).parent_path());
   for (const fs::path& folder : folders) {

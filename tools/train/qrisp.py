@@ -104,6 +104,12 @@ def jitter_sequence(count: int) -> list[Jitter]:
     return [(halton(i, 2), halton(i, 3)) for i in range(1, count + 1)]
 
 
+def nearest(offsets: list[Jitter], jitter: Jitter) -> int:
+    """The set that a frame takes: the first of the nearest offsets."""
+    away = [(jitter[0] - x) ** 2 + (jitter[1] - y) ** 2 for x, y in offsets]
+    return away.index(min(away))
+
+
 # ---- float and quantization-aware -------------------------------------------------------------------------
 
 

@@ -4,7 +4,8 @@
 One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
 every CHUNK frames (the state goes on, its gradient does not). Loss: mean absolute difference of what is shown and
 the truth, both as displayed (qrisp_passes.displayed). Adam, linear warm-up over 2 %, cosine rate. With --qat the
-activation ranges are measured first and then held while the INT8 arithmetic is faked. Sequences are a function of
+activation ranges are measured first and then held while the INT8 arithmetic is faked. --sets N takes the weights of the
+nearest of N offsets, as frames do that hold N sets; else those of the exact jitter. Sequences are a function of
 (seed, step), so a resumed run continues with the same bits, given the same machine and thread count.
 --no-dilation, --no-blending and --no-jitter leave a part out, for ablations; only --no-jitter changes what is exported.
 Source: network notes 2.5. Ours: fewer, smaller crops, the rate, the display curve.
@@ -32,14 +33,15 @@ import training
 CALIBRATION_SEQUENCES = 8
 #: What a resumed run has to be asked for again.
 RECIPE = ("size", "scale", "steps", "batch", "crop", "frames", "chunk", "seed", "lr", "qat", "dilation", "blending",
-          "jitter")
+          "jitter", "sets")
 
 
 class Rollout:
     """The network through the frames of a sequence."""
 
-    def __init__(self, model: qrisp.Qrisp, sequence: nss_data.Sequence, options: passes.Options):
+    def __init__(self, model: qrisp.Qrisp, sequence: nss_data.Sequence, options: passes.Options, sets: int = 0):
         self.model, self.sequence, self.options = model, sequence, options
+        self.offsets = qrisp.jitter_sequence(sets)
         self.state: passes.State | None = None
         self.squares: list[float] = []
 
@@ -48,7 +50,8 @@ class Rollout:
         frame, scale = self.sequence.frame(t), self.model.scale
         wanted = passes.displayed(self.sequence.truth(t) * frame.exposure)
         before = passes.pre(frame, self.state, scale, self.options)
-        outputs = self.model(before.input, frame.jitter)
+        jitter = self.offsets[qrisp.nearest(self.offsets, frame.jitter)] if self.offsets else frame.jitter
+        outputs = self.model(before.input, jitter)
         self.state = passes.post(frame, before, outputs, self.state, scale, self.options)
         error = self.state.colour - wanted
         self.squares.append(float((error.detach() ** 2).mean()))
@@ -64,10 +67,11 @@ def learning_rate(base: float, step: float, steps: int) -> float:
     return training.warm_cosine(base, step, steps, 0.02, 0.01)
 
 
-def sequence_of(clips: list[nss_data.Clip], options: argparse.Namespace, *seed: int) -> nss_data.Sequence:
+def rollout_of(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse.Namespace, *seed: int) -> Rollout:
     """The crops of a step."""
     rng = np.random.default_rng([options.seed, *seed])
-    return nss_data.draw(clips, rng, options.batch, options.crop, options.frames)
+    sequence = nss_data.draw(clips, rng, options.batch, options.crop, options.frames)
+    return Rollout(model, sequence, passes.Options(options.dilation, options.blending), options.sets)
 
 
 def calibrate(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse.Namespace) -> None:
@@ -75,15 +79,10 @@ def calibrate(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse.
     model.observed = {}
     with torch.no_grad():
         for index in range(CALIBRATION_SEQUENCES):
-            rollout = Rollout(model, sequence_of(clips, options, 10**9, index), ablation(options))
+            rollout = rollout_of(model, clips, options, 10**9, index)
             for t in range(options.frames):
                 rollout.step(t)
     model.calibrated()
-
-
-def ablation(options: argparse.Namespace) -> passes.Options:
-    """What the passes leave out."""
-    return passes.Options(options.dilation, options.blending)
 
 
 def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print, stop_after: int | None = None) -> dict:
@@ -120,7 +119,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         calibrate(model, clips, options)
 
     def rollout_at(step: int) -> Rollout:
-        return Rollout(model, sequence_of(clips, options, step), ablation(options))
+        return rollout_of(model, clips, options, step)
 
     return training.run_sequences(model, optimizer, record, options, start, rollout_at, learning_rate, report, stop_after)
 
@@ -133,6 +132,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--size", choices=sorted(qrisp.SIZES), default="s", help="network (default: s)")
     parser.add_argument("--scale", type=int, choices=qrisp.SCALES, default=2, help="ratio (default: 2)")
+    parser.add_argument("--sets", type=int, default=0, help="weight sets to choose from (default: exact jitter)")
     parser.add_argument("--no-dilation", dest="dilation", action="store_false", help="each pixel moves by itself")
     parser.add_argument("--no-blending", dest="blending", action="store_false", help="the candidate is shown")
     parser.add_argument("--no-jitter", dest="jitter", action="store_false", help="one weight set for all offsets")
@@ -140,6 +140,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     training.add_recurrent_options(parser, steps=1000, batch=4, crop=48, frames=12, chunk=4)
     options = parser.parse_args(arguments)
     training.check_recurrent(options)
+    training.check_limits(options, {"sets": (0, 64)})
     if options.crop % 8:
         raise ValueError(f"--crop must be a multiple of 8, found {options.crop}")
     return options

@@ -80,6 +80,40 @@ TEST(FrameJson, ReadsProgramsWithGraphsOfTheirOwn) {
   EXPECT_EQ(frame.tensors[0].history_depth, 2u);
 }
 
+TEST(FrameJson, MakesAProgramOfEachSetOfWeights) {
+  const std::string json = R"({"schema": "shale-frame/2", "render": [4, 4], "output": [4, 4],
+    "params": [{"name": "jitter", "type": "vec2"}, {"name": "fresh", "type": "int", "reset": true}],
+    "sets": {"chosen_by": "jitter", "at": [[0, 0.5], [-0.25, 0]]},
+    "passes": [{"graph": ["a.tosa", "b.tosa"]}, {"name": "both", "graph": "c.tosa"}]})";
+  const Frame frame = must(parse_frame(json));
+  EXPECT_EQ(frame.chosen_by, "jitter");
+  ASSERT_EQ(frame.programs.size(), 2u);
+  EXPECT_EQ(frame.programs[1].name, "set_1");
+  EXPECT_EQ(frame.programs[1].at, (std::vector<float>{-0.25f, 0}));
+  EXPECT_EQ(frame.programs[0].passes[0].graph, "a.tosa");
+  EXPECT_EQ(frame.programs[1].passes[0].graph, "b.tosa");
+  EXPECT_EQ(frame.programs[1].passes[1].graph, "c.tosa");
+  EXPECT_EQ(frame.programs[1].passes[1].name, "both_1");
+  EXPECT_EQ(graph_files(frame), (std::vector<std::string>{"a.tosa", "c.tosa", "b.tosa"}));
+  const char* const rows[][3] = {
+      {"\"chosen_by\": \"jitter\"", "\"chosen_by\": \"index\"",
+       "frame.sets: \"chosen_by\" is \"index\", which is no parameter of the host"},
+      {"\"chosen_by\": \"jitter\"", "\"chosen_by\": \"fresh\"",
+       "frame.sets: \"chosen_by\" is \"fresh\", which is no parameter of the host"},
+      {"[[0, 0.5], [-0.25, 0]]", "[]", "frame.sets: \"at\" holds no set"},
+      {"[-0.25, 0]", "[-0.25]", "frame.sets.at[1]: must be a list of 2, as \"jitter\" has values"},
+      {"[-0.25, 0]", "[-0.25, \"0\"]", "frame.sets.at[1]: must be a list of numbers"},
+      {"[-0.25, 0]", "[-0.25, 1e300]", "frame.sets.at[1]: must be a list of numbers"},
+      {"\"a.tosa\", \"b.tosa\"", "\"a.tosa\"",
+       "frame.passes[0]: \"graph\" must be a file, or one for each of 2 sets"},
+      {"\"b.tosa\"", "2", "frame.passes[0]: \"graph\" must be a file, or one for each of 2 sets"},
+      {"{\"chosen_by\": \"jitter\", \"at\": [[0, 0.5], [-0.25, 0]]}", "7",
+       "frame.sets: \"chosen_by\" must be a text"},
+  };
+  for (const auto& [from, to, message] : rows)
+    EXPECT_EQ(error_text(parse_frame(replaced(json, from, to))), message);
+}
+
 TEST(FrameJson, NamesTheFieldThatIsWrong) {
   struct Row {
     const char *from, *to, *message;

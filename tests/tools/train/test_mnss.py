@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools" / "train"))
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "tools" / "train"))
 
 import export_mnss  # noqa: E402
 import mnss  # noqa: E402
@@ -243,6 +244,14 @@ class Export(unittest.TestCase):
                 self.assertEqual((folder / "a" / name).read_bytes(), (folder / "b" / name).read_bytes(), name)
             frame = json.loads((folder / "a" / "frame.json").read_text())
             self.assertEqual((frame["ratio"], frame["pattern"]), ([3, 3], "mnss"))
+
+    def test_shipped_folders_are_what_their_weights_export(self):
+        for shipped in sorted((ROOT / "models").glob("mnss_*")):
+            with self.subTest(shipped.name), tempfile.TemporaryDirectory() as out:
+                export_mnss.export(shipped / "weights.npz", Path(out))
+                for path in (p for p in Path(out).rglob("*") if p.is_file()):
+                    name = path.relative_to(out)
+                    self.assertEqual(path.read_bytes(), (shipped / name).read_bytes(), name)
 
 
 if __name__ == "__main__":

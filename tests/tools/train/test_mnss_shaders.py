@@ -102,11 +102,13 @@ class FromSceneToPictures(unittest.TestCase):
             self.assertLessEqual((np.abs(a - b) > 2).mean(), 0.01)
 
     def test_costs_of_the_file_are_those_of_the_reference(self):
-        done = subprocess.run([PROGRAM, "report", str(self.folder / "mnss_x2"), "--render", "960x540", "--json"],
-                              capture_output=True, text=True)
-        self.assertEqual(done.returncode, 0, done.stderr)
-        self.assertIn(str(mnss.macs(1080, 1920)), done.stdout)
-        self.assertEqual(mnss.macs(1080, 1920), 15120 * 1920 * 1080)
+        for scale in mnss.SCALES:
+            for width, height in ((1920, 1080), (1280 if scale == 2 else 1281, 720)):
+                done = subprocess.run([PROGRAM, "report", str(self.folder / f"mnss_x{scale}"), "--render",
+                                       f"{width // scale}x{height // scale}", "--json"], capture_output=True, text=True)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                row = json.loads(done.stdout)["files"][0]
+                self.assertEqual((row["parameters"], row["macs"]), (15203, 15120 * width * height))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,30 @@
+// shaders/frame/qrisp/post.comp -- pass 4 of QRISP: depth to space, and the blend with the warped history.
+//
+// Reads the tensors "alpha", "candidate" and "feature", int8 NHWC at render size (sides even) with s^2, 3 s^2 and s^2
+// channels, and warped; writes history (rgba16_float, as displayed), features (r8_unorm) and output (linear, without
+// exposure). Without a past the candidate is the result. One invocation per output pixel.
+// Source: QRISP (ICCV 2023), seed_networks.md section 2.2.
+#version 450
+#include "common.glsl"
+
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+
+void main() {
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x >= kOutput.x || at.y >= kOutput.y) return;
+  const ivec2 texel = at / kScale, part = at - texel * kScale;
+  const int pixel = texel.y * ALPHA_WIDTH + texel.x, phase = part.y * kScale + part.x;
+  vec3 result;
+  [[unroll]] for (int c = 0; c < 3; ++c)
+    result[c] = float(CANDIDATE_SCALE) *
+                float(element_candidate((pixel * 3 + c) * kPhases + phase) - CANDIDATE_ZERO_POINT);
+  if (params.reset == 0) {
+    const float alpha = float(ALPHA_SCALE) * float(element_alpha(pixel * kPhases + phase) - ALPHA_ZERO_POINT);
+    result = mix(rgb_of(fetch_warped(at)), result, alpha);
+  }
+  result = clamp(result, 0.0, 1.0);
+  store_features(at, float(FEATURE_SCALE) *
+                         float(element_feature(pixel * kPhases + phase) - FEATURE_ZERO_POINT));
+  store_history(at, half4(result));
+  store_output(at, half4(min(linear(result) / params.exposure, vec3(kMaxColor))));
+}
