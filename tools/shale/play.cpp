@@ -6,7 +6,6 @@
 #include <sstream>
 
 #include "ir/base/file.h"
-#include "ir/reference/interpreter.h"
 #include "runtime/frame/budget.h"
 #include "tools/eval/tonemap.h"
 #include "tools/scene/exr.h"
@@ -127,28 +126,6 @@ Result<void> dump(const Player& player, const std::string& folder, uint32_t fram
     }
   }
   return {};
-}
-
-/// The network's outputs of the last frame against the interpreter's, from the same inputs.
-Result<std::optional<std::string>> check(const Player& player, const Graph& graph) {
-  std::vector<Tensor> inputs;
-  for (const Resource* resource : tensors_of(player.variant(), Category::kInput)) {
-    SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));
-    inputs.push_back(std::move(tensor));
-  }
-  const std::vector<const Resource*> names = tensors_of(player.variant(), Category::kOutput);
-  std::vector<Tensor> outputs;
-  for (const Resource* name : names) {
-    SHALE_TRY(Tensor found, player.read_tensor(name->name));
-    outputs.push_back(std::move(found));
-  }
-  SHALE_TRY(
-      const std::vector<OutputCheck> checks,
-      check_outputs(graph, inputs, outputs, [](uint32_t, uint32_t) { return !interrupted(); }));
-  for (size_t i = 0; i < outputs.size(); ++i)
-    if (checks[i].difference)
-      return std::optional("output \"" + names[i]->name + "\": " + *checks[i].difference);
-  return std::optional<std::string>();
 }
 
 /// Psnr of the picture, of nearest and of Lanczos against the reference.
@@ -469,9 +446,8 @@ Result<int> play(const Arguments& arguments) {
       }
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
-        const size_t which = sandwich.graphs.size() > 1 ? player->program() : 0;
         SHALE_TRY(const std::optional<std::string> difference,
-                  check(*player, sandwich.graphs[which]));
+                  network_difference(*player, sandwich.graphs));
         entry["network"] = difference ? *difference : "equals the interpreter";
         if (difference) exit = kRefused;
       }

@@ -114,7 +114,7 @@ class Subject {
     SHALE_TRY(Sandwich sandwich, load_sandwich(arguments.model, compile, {}, output));
     Subject subject;
     SHALE_TRY(subject.player_, Player::create(device, sandwich.package));
-    subject.graph_ = std::move(sandwich.graph);
+    subject.graphs_ = std::move(sandwich.graphs);
     subject.pattern_ = sandwich.pattern;
     return subject;
   }
@@ -161,26 +161,9 @@ class Subject {
 
   /// The network of the last frame against the interpreter: what differs, or nothing.
   Result<std::optional<std::string>> departs() const {
-    if (!graph_) return std::optional<std::string>();
-    std::vector<Tensor> inputs, outputs;
-    for (const Resource* resource : tensors_of(player_->variant(), Category::kInput)) {
-      SHALE_TRY(Tensor tensor, player_->read_tensor(resource->name));
-      inputs.push_back(std::move(tensor));
-    }
-    const std::vector<const Resource*> results = tensors_of(player_->variant(), Category::kOutput);
-    for (const Resource* resource : results) {
-      SHALE_TRY(Tensor tensor, player_->read_tensor(resource->name));
-      outputs.push_back(std::move(tensor));
-    }
-    SHALE_TRY(
-        const std::vector<OutputCheck> checks,
-        check_outputs(*graph_, inputs, outputs, [](uint32_t, uint32_t) { return !interrupted(); }));
-    for (size_t i = 0; i < checks.size(); ++i)
-      if (checks[i].difference)
-        return std::optional(results[i]->name + ": " + *checks[i].difference);
-    return std::optional<std::string>();
+    if (graphs_.empty()) return std::optional<std::string>();
+    return network_difference(*player_, graphs_);
   }
-  bool has_graph() const { return graph_.has_value(); }
 
  private:
   bool takes(std::string_view image) const {
@@ -190,7 +173,7 @@ class Subject {
   }
 
   std::unique_ptr<Player> player_;
-  std::optional<Graph> graph_;
+  std::vector<Graph> graphs_;
   SamplingPattern pattern_;
 };
 
