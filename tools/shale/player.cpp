@@ -61,7 +61,8 @@ void write_channel(uint8_t* texel, ImageFormat format, uint32_t channel, float v
     case ImageFormat::kRgba8Unorm:
     case ImageFormat::kRg8Unorm:
     case ImageFormat::kR8Unorm:
-      store(static_cast<uint8_t>(std::lround(std::clamp(value, 0.0f, 1.0f) * 255)));
+      // NaN is 0.
+      store(static_cast<uint8_t>(value > 0 ? std::lround(std::min(value, 1.0f) * 255) : 0));
       break;
     case ImageFormat::kRgba16Float:
     case ImageFormat::kRg16Float:

@@ -551,7 +551,7 @@ Result<int> stress(const Arguments& arguments) {
                  {"precisions", Json::array()}});
     std::vector<const Fault*> chosen;
     for (const Fault& fault : faults())
-      if (wanted(fault.group) && (fault.of == Fault::For::kAny || !subject.display()) &&
+      if (wanted(fault.group) && (fault.of != Fault::For::kLinear || !subject.display()) &&
           (fault.of != Fault::For::kTemporal || subject.takes_depth()))
         chosen.push_back(&fault);
     if (!chosen.empty()) {
