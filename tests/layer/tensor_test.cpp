@@ -311,8 +311,9 @@ TEST_F(TensorLayerTest, CopiesBetweenAllKindsOfLayouts) {
           written[static_cast<size_t>(at)] = written[static_cast<size_t>(at) + 1] = true;
         }
         for (size_t i = 0; i < to.size; ++i)
-          if (!written[i])
+          if (!written[i]) {
             EXPECT_EQ(static_cast<uint8_t*>(to.mapped)[i], 0) << "between rows, " << i;
+          }
         client_destroy_tensor(&client, &from);
         client_destroy_tensor(&client, &to);
       }

@@ -102,13 +102,18 @@ VkResult VKAPI_CALL GetPipelineCacheData(VkDevice handle, VkPipelineCache cache,
     Device& device = device_of(handle);
     const auto known = device.caches.find(cache);
     const std::vector<uint8_t> trailer = known ? write_trailer(*known) : std::vector<uint8_t>{};
-    const size_t room = *size;
-    const VkResult below = device.GetPipelineCacheData(handle, cache, size, data);
-    if (below != VK_SUCCESS) return below;
+    size_t own = 0;
+    const VkResult asked = device.GetPipelineCacheData(handle, cache, &own, nullptr);
+    if (asked != VK_SUCCESS) return asked;
     if (!data) {
-      *size += trailer.size();
+      *size = own + trailer.size();
       return VK_SUCCESS;
     }
+    // lavapipe leaves the size as it is where there is more room.
+    const size_t room = *size;
+    *size = std::min(room, own);
+    const VkResult below = device.GetPipelineCacheData(handle, cache, size, data);
+    if (below != VK_SUCCESS) return below;
     if (room - *size < trailer.size()) return VK_INCOMPLETE;
     std::memcpy(static_cast<uint8_t*>(data) + *size, trailer.data(), trailer.size());
     *size += trailer.size();
