@@ -181,7 +181,7 @@ VkResult client_create_tensor(const Client* client, VkFormat format, VkTensorTil
       .pDimensions = tensor->dims,
       .pStrides = strides ? tensor->strides : NULL,
       .usage = VK_TENSOR_USAGE_DATA_GRAPH_BIT_ARM | VK_TENSOR_USAGE_TRANSFER_SRC_BIT_ARM |
-               VK_TENSOR_USAGE_TRANSFER_DST_BIT_ARM};
+               VK_TENSOR_USAGE_TRANSFER_DST_BIT_ARM | client->more_usage};
   const VkTensorCreateInfoARM info = {.sType = VK_STRUCTURE_TYPE_TENSOR_CREATE_INFO_ARM,
                                       .pDescription = &tensor->description,
                                       .sharingMode = VK_SHARING_MODE_EXCLUSIVE};
@@ -191,6 +191,7 @@ VkResult client_create_tensor(const Client* client, VkFormat format, VkTensorTil
       .sType = VK_STRUCTURE_TYPE_TENSOR_MEMORY_REQUIREMENTS_INFO_ARM, .tensor = tensor->tensor};
   VkMemoryRequirements2 needs = {.sType = VK_STRUCTURE_TYPE_MEMORY_REQUIREMENTS_2};
   client->GetTensorMemoryRequirementsARM(client->device, &which, &needs);
+  needs.memoryRequirements.size += client->more_bytes;
   tensor->size = needs.memoryRequirements.size;
   tensor->memory =
       allocate(client, &needs.memoryRequirements,

@@ -45,6 +45,9 @@ typedef struct Client {
   /* What debug utils said: by the validation layer, which is a failure, and by others. */
   uint32_t validation_messages, other_messages;
   char last_message[CLIENT_MESSAGE_BYTES];
+  /* For all tensors that are created from now on. */
+  VkTensorUsageFlagsARM more_usage;
+  VkDeviceSize more_bytes; /* of their memory */
 #define CLIENT_MEMBER(name) PFN_vk##name name;
   CLIENT_FUNCTIONS(CLIENT_MEMBER)
 #undef CLIENT_MEMBER

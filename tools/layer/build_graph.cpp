@@ -111,13 +111,13 @@ const GraphSource::Resource* resource_of(const GraphSource& source,
   return nullptr;
 }
 
-/// "in0 0.1.0" or, for a tensor that is not packed, "in0 0.1.0 64,16,4".
+/// "in0 0.1.0;" or, for a tensor that is not packed, "in0 0.1.0 64,16,4;". Passes may add to it.
 std::string tensor_name(const char* prefix, size_t index, const SpirvEntryPoint::Slot& slot,
                         const TensorLayout& layout) {
   std::string name =
       fmt::format("{}{} {}.{}.{}", prefix, index, slot.set, slot.binding, slot.element.value_or(0));
   if (!layout.packed) name += fmt::format(" {}", fmt::join(layout.strides, ","));
-  return name;
+  return name + ";";
 }
 
 /// Renames inputs and outputs. An output that is no result of its own becomes one.
@@ -299,7 +299,8 @@ Result<std::vector<GraphTensor>> graph_tensors(const Variant& variant) {
   std::vector<GraphTensor> tensors;
   for (const Resource& resource : variant.resources) {
     if (resource.category != Category::kInput && resource.category != Category::kOutput) continue;
-    const std::string_view name = resource.name;
+    const std::string_view name =
+        std::string_view(resource.name).substr(0, resource.name.find(';'));
     const size_t place = name.find(' ');
     const size_t end = place == name.npos ? name.npos : name.find(' ', place + 1);
     std::vector<int64_t> where, strides;
