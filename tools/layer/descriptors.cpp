@@ -4,19 +4,22 @@
 
 #include "tools/layer/barriers.h"
 #include "tools/layer/chain.h"
+#include "tools/layer/tensor_shader.h"
 
 namespace shale::layer {
 namespace {
 
-/// The layout as the device below takes it: bindings of tensors are there and empty.
+/// The layout as the device below takes it: bindings of tensors are there, for shaders, or empty.
 class LayoutBelow {
  public:
-  explicit LayoutBelow(const VkDescriptorSetLayoutCreateInfo& info)
+  LayoutBelow(const Device& device, const VkDescriptorSetLayoutCreateInfo& info)
       : bindings_(info.pBindings, info.pBindings + info.bindingCount), chain_(info.pNext) {
     info_ = info;
     for (VkDescriptorSetLayoutBinding& binding : bindings_)
       if (binding.descriptorType == VK_DESCRIPTOR_TYPE_TENSOR_ARM)
-        binding = {binding.binding, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, 0, 0, nullptr};
+        binding = {binding.binding, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,
+                   device.tensor_shaders ? kBuffersOfTensor * binding.descriptorCount : 0,
+                   device.tensor_shaders ? binding.stageFlags : 0, nullptr};
     info_.pBindings = bindings_.data();
     info_.pNext = chain_.next();
   }
@@ -39,22 +42,30 @@ bool settle(const std::map<uint32_t, std::vector<const Tensor*>>& tensors, uint3
   return at != tensors.end();
 }
 
-/// Copies of tensor descriptors; true if that was one.
-bool copy_tensors(Device& device, const VkCopyDescriptorSet& copy) {
+/// Copies tensor descriptors, or none if that is no copy of such; what is to copy below goes to `below`.
+void copy_tensors(Device& device, const VkCopyDescriptorSet& copy,
+                  std::vector<VkCopyDescriptorSet>& below) {
   const auto from = device.sets.find(copy.srcSet);
   const auto to = device.sets.find(copy.dstSet);
   if (!from || !to || !from->tensors.contains(copy.srcBinding) ||
-      !to->tensors.contains(copy.dstBinding))
-    return false;
-  uint32_t from_binding = copy.srcBinding, from_element = copy.srcArrayElement;
-  uint32_t to_binding = copy.dstBinding, to_element = copy.dstArrayElement;
-  for (uint32_t i = 0; i < copy.descriptorCount; ++i, ++from_element, ++to_element) {
-    if (!settle(from->tensors, from_binding, from_element) ||
-        !settle(to->tensors, to_binding, to_element))
-      break;
-    to->tensors[to_binding][to_element] = from->tensors[from_binding][from_element];
+      !to->tensors.contains(copy.dstBinding)) {
+    below.push_back(copy);
+    return;
   }
-  return true;
+  VkCopyDescriptorSet one = copy;
+  uint32_t from_element = copy.srcArrayElement, to_element = copy.dstArrayElement;
+  for (uint32_t i = 0; i < copy.descriptorCount; ++i, ++from_element, ++to_element) {
+    if (!settle(from->tensors, one.srcBinding, from_element) ||
+        !settle(to->tensors, one.dstBinding, to_element))
+      break;
+    const Tensor* tensor = from->tensors[one.srcBinding][from_element];
+    to->tensors[one.dstBinding][to_element] = tensor;
+    if (!device.tensor_shaders || !tensor) continue;
+    one.srcArrayElement = kBuffersOfTensor * from_element;
+    one.dstArrayElement = kBuffersOfTensor * to_element;
+    one.descriptorCount = kBuffersOfTensor;
+    below.push_back(one);
+  }
 }
 
 void forget_sets(Device& device, Pool& pool) {
@@ -79,13 +90,27 @@ SplitWrites::SplitWrites(std::span<const VkWriteDescriptorSet> writes, const Set
     }
     const auto* list = find_in_chain<VkWriteDescriptorSetTensorARM>(
         write.pNext, VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET_TENSOR_ARM);
+    if (!list) continue;
     Set* set = set_of(write);
-    if (!set || !list) continue;
     uint32_t binding = write.dstBinding, element = write.dstArrayElement;
     const uint32_t count = std::min(write.descriptorCount, list->tensorViewCount);
-    for (uint32_t i = 0; i < count && settle(set->tensors, binding, element); ++i, ++element) {
+    for (uint32_t i = 0; i < count && (!set || settle(set->tensors, binding, element));
+         ++i, ++element) {
       const VkTensorViewARM view = list->pTensorViews ? list->pTensorViews[i] : VK_NULL_HANDLE;
-      set->tensors[binding][element] = view ? view_of(view)->tensor : nullptr;
+      const Tensor* tensor = view ? view_of(view)->tensor : nullptr;
+      if (set) set->tensors[binding][element] = tensor;
+      if (!tensor || !tensor->shape.buffer) continue;
+      const auto& buffers = buffers_.emplace_back(std::vector<VkDescriptorBufferInfo>{
+          {tensor->buffer, 0, VK_WHOLE_SIZE},
+          {tensor->shape.buffer, tensor->shape.offset, kShapeWords * sizeof(uint32_t)}});
+      VkWriteDescriptorSet below = write;
+      below.pNext = nullptr;
+      below.dstBinding = binding;
+      below.dstArrayElement = kBuffersOfTensor * element;
+      below.descriptorCount = kBuffersOfTensor;
+      below.descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
+      below.pBufferInfo = buffers.data();
+      below_.push_back(below);
     }
   }
 }
@@ -177,7 +202,7 @@ VkResult VKAPI_CALL CreateDescriptorSetLayout(VkDevice handle,
       layout->has_tensors =
           layout->has_tensors || binding.descriptorType == VK_DESCRIPTOR_TYPE_TENSOR_ARM;
     }
-    const LayoutBelow below(*info);
+    const LayoutBelow below(device, *info);
     const VkResult created = device.CreateDescriptorSetLayout(
         handle, layout->has_tensors ? below.get() : info, allocator, result);
     if (created == VK_SUCCESS) device.set_layouts.put(*result, std::move(layout));
@@ -198,7 +223,7 @@ void VKAPI_CALL GetDescriptorSetLayoutSupport(VkDevice handle,
                                               const VkDescriptorSetLayoutCreateInfo* info,
                                               VkDescriptorSetLayoutSupport* support) {
   guarded_void([&] {
-    const LayoutBelow below(*info);
+    const LayoutBelow below(device_of(handle), *info);
     device_of(handle).GetDescriptorSetLayoutSupport(handle, below.get(), support);
   });
 }
@@ -238,6 +263,9 @@ VkResult VKAPI_CALL CreateDescriptorPool(VkDevice handle, const VkDescriptorPool
     for (uint32_t i = 0; i < info->poolSizeCount; ++i)
       if (info->pPoolSizes[i].type != VK_DESCRIPTOR_TYPE_TENSOR_ARM)
         sizes.push_back(info->pPoolSizes[i]);
+      else if (device.tensor_shaders)
+        sizes.push_back({VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,
+                         kBuffersOfTensor * info->pPoolSizes[i].descriptorCount});
     // A pool must offer something.
     if (sizes.empty()) sizes.push_back({VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, 1});
     const ChainCopy chain(info->pNext);
@@ -313,7 +341,7 @@ void VKAPI_CALL UpdateDescriptorSets(VkDevice handle, uint32_t write_count,
       return held.emplace_back(device.sets.find(write.dstSet)).get();
     });
     for (const VkCopyDescriptorSet& copy : std::span(copies, copy_count))
-      if (!copy_tensors(device, copy)) copies_below.push_back(copy);
+      copy_tensors(device, copy, copies_below);
     device.UpdateDescriptorSets(handle, static_cast<uint32_t>(split.below().size()),
                                 split.below().data(), static_cast<uint32_t>(copies_below.size()),
                                 copies_below.data());

@@ -1,7 +1,7 @@
 // tools/layer/descriptors.h -- descriptors of tensors, which only the layer knows.
 //
-// Below, a binding of tensors has no descriptors: kernels get sets of their own. What a set's tensor
-// descriptors hold is kept here, beside the device's set.
+// Graphs get sets of their own: what a set's tensor descriptors hold is kept here, beside the device's set.
+// There a binding of tensors has the buffers that shaders see (tensor_shader.h), or none if no shader may.
 #pragma once
 
 #include <functional>
@@ -59,6 +59,7 @@ class SplitWrites {
 
   std::vector<VkWriteDescriptorSet> below_;
   std::vector<std::vector<VkDescriptorImageInfo>> images_;
+  std::vector<std::vector<VkDescriptorBufferInfo>> buffers_;
 };
 
 /// The writes that a template stands for, with the data at `data`.

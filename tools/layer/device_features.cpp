@@ -20,13 +20,13 @@ bool all_offered(const T& wanted, const T& offered) {
 }
 
 template <typename T>
-Result<void> check_feature_struct(const VkDeviceCreateInfo& info, VkStructureType type,
-                                  const char* name) {
+Result<void> check_feature_struct(const Physical& physical, const VkDeviceCreateInfo& info,
+                                  VkStructureType type, const char* name) {
   const T* asked = find_in_chain<T>(info.pNext, type);
   if (!asked) return {};
   T have{};
   have.sType = type;
-  fill_features(&have);
+  fill_features(physical, &have);
   if (all_offered(*asked, have)) return {};
   return unsupported(name, "asks for a feature that the layer does not report");
 }
@@ -47,19 +47,19 @@ void turn_on(ChainCopy& chain, VkStructureType version_type, VkBool32 Version::*
 
 }  // namespace
 
-Result<void> check_features(const VkDeviceCreateInfo& info) {
+Result<void> check_features(const Physical& physical, const VkDeviceCreateInfo& info) {
   SHALE_TRY_VOID(check_feature_struct<VkPhysicalDeviceTensorFeaturesARM>(
-      info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM,
+      physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM,
       "VkPhysicalDeviceTensorFeaturesARM"));
   SHALE_TRY_VOID(check_feature_struct<VkPhysicalDeviceDataGraphFeaturesARM>(
-      info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM,
+      physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM,
       "VkPhysicalDeviceDataGraphFeaturesARM"));
   return check_feature_struct<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
-      info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM,
+      physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM,
       "VkPhysicalDeviceDescriptorBufferTensorFeaturesARM");
 }
 
-void add_kernel_features(FeatureSet supported, VkDeviceCreateInfo& info,
+void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
                          VkPhysicalDeviceFeatures& features, ChainCopy& chain) {
   VkPhysicalDeviceFeatures* base = &features;
   if (auto* chained =
@@ -69,6 +69,8 @@ void add_kernel_features(FeatureSet supported, VkDeviceCreateInfo& info,
     if (info.pEnabledFeatures) features = *info.pEnabledFeatures;
     info.pEnabledFeatures = &features;
   }
+  if (physical.dynamic_indexing) base->shaderStorageBufferArrayDynamicIndexing = VK_TRUE;
+  const FeatureSet supported = physical.caps.features;
   const auto has = [&](Feature feature) { return supported.has(feature); };
   if (has(Feature::kInt16)) base->shaderInt16 = VK_TRUE;
   if (has(Feature::kInt64)) base->shaderInt64 = VK_TRUE;

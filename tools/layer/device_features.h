@@ -7,12 +7,12 @@
 namespace shale::layer {
 
 /// Errors: kUnsupported, naming a feature of the layer's extensions that is asked for and not there.
-Result<void> check_features(const VkDeviceCreateInfo& info);
+Result<void> check_features(const Physical& physical, const VkDeviceCreateInfo& info);
 
 /// Turns on what kernels may use and the device has: in the structures that the application chained,
 /// of which `chain` is a copy, or in new ones, never in both. `features` is where those of Vulkan 1.0 go
 /// if the application gave them beside the chain, or not at all.
-void add_kernel_features(FeatureSet supported, VkDeviceCreateInfo& info,
+void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
                          VkPhysicalDeviceFeatures& features, ChainCopy& chain);
 
 }  // namespace shale::layer

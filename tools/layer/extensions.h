@@ -12,7 +12,7 @@ namespace shale::layer {
 bool offered(const Physical& physical, std::string_view extension);
 
 /// Features and properties of the layer's structures in a chain of results.
-void fill_features(void* chain);
+void fill_features(const Physical& physical, void* chain);
 void fill_properties(const Physical& physical, void* chain);
 
 }  // namespace shale::layer

@@ -6,6 +6,7 @@
 #include "tools/layer/build_graph.h"
 #include "tools/layer/chain.h"
 #include "tools/layer/disk_cache.h"
+#include "tools/layer/tensor_shader.h"
 
 namespace shale::layer {
 namespace {
@@ -168,6 +169,14 @@ VkResult VKAPI_CALL CreateShaderModule(VkDevice handle, const VkShaderModuleCrea
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
     const std::span<const uint32_t> words(info->pCode, info->codeSize / sizeof(uint32_t));
+    if (device.tensor_shaders && has_tensors(words)) {
+      const Result<std::vector<uint32_t>> lowered = lower_tensors(words);
+      if (!lowered) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), lowered.error());
+      VkShaderModuleCreateInfo below = *info;
+      below.codeSize = sizeof(uint32_t) * lowered->size();
+      below.pCode = lowered->data();
+      return device.CreateShaderModule(handle, &below, allocator, result);
+    }
     if (!device.graphs || !has_graphs(words))
       return device.CreateShaderModule(handle, info, allocator, result);
     auto module = std::make_shared<GraphModule>();

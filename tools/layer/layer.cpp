@@ -267,14 +267,14 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
     const std::vector<const char*> names = names_below(*info, known);
     VkPhysicalDeviceFeatures features{};
     if (known.serves) {
-      if (const Result<void> asked = check_features(*info); !asked) {
+      if (const Result<void> asked = check_features(known, *info); !asked) {
         instance->report(VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT,
                          VK_OBJECT_TYPE_PHYSICAL_DEVICE, number_of(physical), asked.error().text());
         return VK_ERROR_FEATURE_NOT_PRESENT;
       }
       below.enabledExtensionCount = static_cast<uint32_t>(names.size());
       below.ppEnabledExtensionNames = names.data();
-      if (graphs) add_kernel_features(known.caps.features, below, features, chain);
+      if (tensors || graphs) add_kernel_features(known, below, features, chain);
     }
     auto* link = const_cast<VkLayerDeviceCreateInfo*>(link_info<VkLayerDeviceCreateInfo>(
         chain.next(), VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO));
@@ -295,6 +295,9 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
     data->next = next;
     data->tensors = tensors;
     data->graphs = graphs;
+    const auto* asked = find_in_chain<VkPhysicalDeviceTensorFeaturesARM>(
+        info->pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM);
+    data->tensor_shaders = tensors && asked && asked->shaderTensorAccess;
     const auto find = [&](const char* name) { return next(*result, name); };
 #define SHALE_DEVICE_HOOK(name) load(data->name, find("vk" #name));
 #include "tools/layer/hooks.def"
@@ -308,6 +311,7 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
         return failed;
       }
       data->disk_cache = DiskCache::open(*data);
+      if (data->tensor_shaders) data->shapes = std::make_unique<ShapeSlots>(*data);
     }
     handles().devices.put(dispatch_key(*result), std::move(data));
     return VK_SUCCESS;
@@ -320,6 +324,7 @@ void VKAPI_CALL DestroyDevice(VkDevice device, const VkAllocationCallbacks* allo
     const auto data = handles().devices.take(dispatch_key(device));
     if (!data) return;
     data->disk_cache.reset();
+    data->shapes.reset();
     data->DestroyDevice(device, allocator);
   });
 }

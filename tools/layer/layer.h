@@ -110,7 +110,7 @@ struct Physical {
   /// False where the layer steps aside: below Vulkan 1.3, or where the device has one of the
   /// extensions itself.
   bool serves = false;
-  bool has_deferred_operations = false;
+  bool dynamic_indexing = false;  ///< shaderStorageBufferArrayDynamicIndexing
   DeviceCaps caps;
   VkPhysicalDeviceLimits limits{};
   std::vector<VkQueueFamilyProperties> families;
@@ -151,6 +151,7 @@ struct GraphSession;
 struct GraphCache;
 struct Tensor;
 class DiskCache;
+class ShapeSlots;
 
 struct Device {
   Device();
@@ -161,6 +162,7 @@ struct Device {
   const Physical* physical = nullptr;
   PFN_vkGetDeviceProcAddr next = nullptr;
   bool tensors = false, graphs = false;  ///< which extension the application enabled
+  bool tensor_shaders = false;           ///< it enabled shaderTensorAccess
 #define SHALE_DEVICE_HOOK(name) PFN_vk##name name = nullptr;
 #include "tools/layer/hooks.def"
   PFN_vkGetImageSubresourceLayout GetImageSubresourceLayout = nullptr;
@@ -182,6 +184,7 @@ struct Device {
   std::set<GraphSession*> sessions;
   std::map<std::pair<VkPrivateDataSlot, uint64_t>, uint64_t> private_data;
   std::unique_ptr<DiskCache> disk_cache;  ///< null without one
+  std::unique_ptr<ShapeSlots> shapes;     ///< null without tensor_shaders
 
   void error(VkObjectType type, uint64_t object, const std::string& text) {
     instance->report(VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT, type, object, text);

@@ -6,6 +6,7 @@
 #include "tools/layer/chain.h"
 #include "tools/layer/extensions.h"
 #include "tools/layer/tensor.h"
+#include "tools/layer/tensor_shader.h"
 
 namespace shale::layer {
 namespace {
@@ -79,14 +80,23 @@ void add_graph_bit(const Physical& physical, uint32_t count, VkQueueFamilyProper
   }
 }
 
+/// Tensors in shaders take elements of all sizes that a device below may hold in buffers.
+bool tensor_shaders(const Physical& physical) {
+  const FeatureSet features = physical.caps.features;
+  return features.has(Feature::kStorageBuffer8) && features.has(Feature::kInt8) &&
+         features.has(Feature::kStorageBuffer16);
+}
+
 /// What tensors can do that have that format.
-VkFormatFeatureFlags2 tensor_features(VkFormat format, VkTensorTilingARM tiling) {
+VkFormatFeatureFlags2 tensor_features(const Physical& physical, VkFormat format,
+                                      VkTensorTilingARM tiling) {
   const uint32_t element = tensor_element_bytes(format);
   if (element == 0) return 0;
   VkFormatFeatureFlags2 features =
       VK_FORMAT_FEATURE_2_TRANSFER_SRC_BIT | VK_FORMAT_FEATURE_2_TRANSFER_DST_BIT;
   if (graph_dtype(format) != DType::kUnknown)
     features |= VK_FORMAT_FEATURE_2_TENSOR_DATA_GRAPH_BIT_ARM;
+  if (tensor_shaders(physical)) features |= VK_FORMAT_FEATURE_2_TENSOR_SHADER_BIT_ARM;
   if (tiling == VK_TENSOR_TILING_OPTIMAL_ARM && element <= 4 && format != VK_FORMAT_R8_BOOL_ARM)
     features |= VK_FORMAT_FEATURE_2_TENSOR_IMAGE_ALIASING_BIT_ARM;
   return features;
@@ -100,11 +110,14 @@ bool offered(const Physical& physical, std::string_view extension) {
                      [&](const Offer& offer) { return extension == offer.name; });
 }
 
-void fill_features(void* chain) {
+void fill_features(const Physical& physical, void* chain) {
   if (auto* tensors = find_in_chain<VkPhysicalDeviceTensorFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM)) {
     clear_body(*tensors);
     tensors->tensorNonPacked = tensors->tensors = VK_TRUE;
+    tensors->shaderTensorAccess = tensor_shaders(physical);
+    tensors->shaderStorageTensorArrayDynamicIndexing =
+        tensors->shaderTensorAccess && physical.dynamic_indexing;
   }
   if (auto* graphs = find_in_chain<VkPhysicalDeviceDataGraphFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM)) {
@@ -120,7 +133,6 @@ void fill_features(void* chain) {
 void fill_properties(const Physical& physical, void* chain) {
   if (auto* found = find_in_chain<VkPhysicalDeviceTensorPropertiesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_PROPERTIES_ARM)) {
-    constexpr uint32_t kMostTensors = 1 << 16;  // of a set: they take nothing of the device
     constexpr uint64_t kWidestElement = 8;
     const uint64_t bytes = physical.max_tensor_bytes();
     VkPhysicalDeviceTensorPropertiesARM& tensors = *found;
@@ -129,9 +141,12 @@ void fill_properties(const Physical& physical, void* chain) {
     tensors.maxTensorElements = tensors.maxPerDimensionTensorElements = bytes / kWidestElement;
     tensors.maxTensorStride = static_cast<int64_t>(bytes);
     tensors.maxTensorSize = bytes;
-    tensors.maxTensorShaderAccessArrayLength = tensors.maxTensorShaderAccessSize = 4;
-    tensors.maxDescriptorSetStorageTensors = tensors.maxPerStageDescriptorSetStorageTensors =
-        kMostTensors;
+    tensors.maxTensorShaderAccessArrayLength = 32;
+    tensors.maxTensorShaderAccessSize = 32 * kWidestElement;
+    tensors.maxDescriptorSetStorageTensors =
+        physical.limits.maxDescriptorSetStorageBuffers / kBuffersOfTensor;
+    tensors.maxPerStageDescriptorSetStorageTensors =
+        physical.limits.maxPerStageDescriptorStorageBuffers / kBuffersOfTensor;
     tensors.shaderTensorSupportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
   }
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorPropertiesARM>(
@@ -162,7 +177,13 @@ const Physical& Instance::physical(VkPhysicalDevice wanted) {
     const bool is_new_enough = properties.apiVersion >= VK_API_VERSION_1_3;
     found->serves = is_new_enough && !native && vk::choose_queue_family(found->families);
     found->limits = properties.limits;
-    if (found->serves) found->caps = vk::snapshot_caps(wanted, functions);
+    if (found->serves) {
+      found->caps = vk::snapshot_caps(wanted, functions);
+      VkPhysicalDeviceFeatures2 features{};
+      features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+      functions.GetPhysicalDeviceFeatures2(wanted, &features);
+      found->dynamic_indexing = features.features.shaderStorageBufferArrayDynamicIndexing;
+    }
   }
   slot = std::move(found);
   return *slot;
@@ -196,13 +217,14 @@ void VKAPI_CALL GetPhysicalDeviceFeatures2(VkPhysicalDevice physical,
                                            VkPhysicalDeviceFeatures2* features) {
   guarded_void([&] {
     const auto instance = instance_of(physical);
-    const bool serves = instance->physical(physical).serves;
+    const Physical& known = instance->physical(physical);
+    const bool serves = known.serves;
     {
       std::optional<WithoutLayers> without;
       if (serves) without.emplace(features);
       instance->GetPhysicalDeviceFeatures2(physical, features);
     }
-    if (serves) fill_features(features->pNext);
+    if (serves) fill_features(known, features->pNext);
   });
 }
 
@@ -224,7 +246,8 @@ void VKAPI_CALL GetPhysicalDeviceFormatProperties2(VkPhysicalDevice physical, Vk
                                                    VkFormatProperties2* properties) {
   guarded_void([&] {
     const auto instance = instance_of(physical);
-    if (!instance->physical(physical).serves) {
+    const Physical& known = instance->physical(physical);
+    if (!known.serves) {
       instance->GetPhysicalDeviceFormatProperties2(physical, format, properties);
       return;
     }
@@ -238,8 +261,10 @@ void VKAPI_CALL GetPhysicalDeviceFormatProperties2(VkPhysicalDevice physical, Vk
     }
     if (auto* tensors = find_in_chain<VkTensorFormatPropertiesARM>(
             properties->pNext, VK_STRUCTURE_TYPE_TENSOR_FORMAT_PROPERTIES_ARM)) {
-      tensors->optimalTilingTensorFeatures = tensor_features(format, VK_TENSOR_TILING_OPTIMAL_ARM);
-      tensors->linearTilingTensorFeatures = tensor_features(format, VK_TENSOR_TILING_LINEAR_ARM);
+      tensors->optimalTilingTensorFeatures =
+          tensor_features(known, format, VK_TENSOR_TILING_OPTIMAL_ARM);
+      tensors->linearTilingTensorFeatures =
+          tensor_features(known, format, VK_TENSOR_TILING_LINEAR_ARM);
     }
     // Images that tensors may be aliased with are linear below.
     if (auto* images = find_in_chain<VkFormatProperties3>(properties->pNext,

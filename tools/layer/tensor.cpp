@@ -7,6 +7,7 @@
 #include "tools/layer/chain.h"
 #include "tools/layer/commands.h"
 #include "tools/layer/graph.h"
+#include "tools/layer/tensor_shader.h"
 
 namespace shale::layer {
 namespace {
@@ -43,6 +44,12 @@ void memory_requirements(const Device& device, VkBuffer buffer, VkMemoryRequirem
           result.pNext, VK_STRUCTURE_TYPE_MEMORY_DEDICATED_REQUIREMENTS))
     dedicated->prefersDedicatedAllocation = dedicated->requiresDedicatedAllocation = VK_FALSE;
   device.context->vk.GetBufferMemoryRequirements(device.handle, buffer, &result.memoryRequirements);
+}
+
+void destroy_tensor(Device& device, Tensor* tensor, const VkAllocationCallbacks* allocator) {
+  if (tensor->shape.buffer) device.shapes->give_back(tensor->shape);
+  device.context->vk.DestroyBuffer(device.handle, tensor->buffer, allocator);
+  destroy_object(tensor, allocator);
 }
 
 /// Gives a tensor the rows of a linear image: axes are [..., depth, height, width, components].
@@ -215,6 +222,35 @@ Result<TensorLayout> read_layout(const VkTensorDescriptionARM& description, cons
   return layout;
 }
 
+Result<ShapeSlot> ShapeSlots::take(const TensorLayout& layout) {
+  const std::lock_guard lock(mutex_);
+  if (free_.empty()) {
+    constexpr uint64_t kSlotBytes = 256;  // the largest alignment that Vulkan allows
+    constexpr uint64_t kSlots = 256;
+    SHALE_TRY(vk::Buffer buffer,
+              vk::Buffer::create(*device_.context, kSlotBytes * kSlots,
+                                 VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, vk::MemoryKind::kUpload));
+    for (uint64_t i = kSlots; i-- > 0;)
+      free_.push_back({buffer.get(), i * kSlotBytes,
+                       reinterpret_cast<uint32_t*>(buffer.mapped().data() + i * kSlotBytes)});
+    buffers_.push_back(std::move(buffer));
+  }
+  const ShapeSlot slot = free_.back();
+  free_.pop_back();
+  const uint32_t element = tensor_element_bytes(layout.format);
+  slot.words[0] = static_cast<uint32_t>(layout.dims.size());
+  for (size_t i = 0; i < layout.dims.size(); ++i) {
+    slot.words[kFirstSizeWord + i] = static_cast<uint32_t>(layout.dims[i]);
+    slot.words[kFirstStrideWord + i] = static_cast<uint32_t>(layout.strides[i] / element);
+  }
+  return slot;
+}
+
+void ShapeSlots::give_back(const ShapeSlot& slot) {
+  const std::lock_guard lock(mutex_);
+  free_.push_back(slot);
+}
+
 void record_copy(const Device& device, VkCommandBuffer commands, VkBuffer from,
                  const TensorLayout& from_layout, VkBuffer to, const TensorLayout& to_layout) {
   const Runs runs = merged_runs(from_layout, to_layout);
@@ -253,14 +289,20 @@ VkResult VKAPI_CALL CreateTensorARM(VkDevice handle, const VkTensorCreateInfoARM
     VkExternalMemoryBufferCreateInfo external{};
     const auto below = buffer_info(*info, *layout, external);
     if (!below) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), below.error());
-    auto* tensor =
-        make_object<Tensor>(allocator, Tensor{++last_id, info->flags, *std::move(layout)});
+    ShapeSlot shape;
+    if (device.shapes) {
+      const Result<ShapeSlot> taken = device.shapes->take(*layout);
+      if (!taken) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), taken.error());
+      shape = *taken;
+    }
+    auto* tensor = make_object<Tensor>(
+        allocator, Tensor{++last_id, info->flags, *std::move(layout), VK_NULL_HANDLE, shape});
     const VkResult created =
         device.context->vk.CreateBuffer(handle, &*below, allocator, &tensor->buffer);
-    if (created != VK_SUCCESS)
-      destroy_object(tensor, allocator);
-    else
+    if (created == VK_SUCCESS)
       *result = reinterpret_cast<VkTensorARM>(tensor);
+    else
+      destroy_tensor(device, tensor, allocator);
     return created;
   });
 }
@@ -272,8 +314,7 @@ void VKAPI_CALL DestroyTensorARM(VkDevice handle, VkTensorARM which,
     Device& device = device_of(handle);
     Tensor* tensor = tensor_of(which);
     forget_tensor(device, tensor->id);
-    device.context->vk.DestroyBuffer(handle, tensor->buffer, allocator);
-    destroy_object(tensor, allocator);
+    destroy_tensor(device, tensor, allocator);
   });
 }
 

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "ir/base/dtype.h"
+#include "runtime/vk/memory.h"
 #include "tools/layer/layer.h"
 
 namespace shale::layer {
@@ -45,11 +46,34 @@ struct TensorLayout {
 /// kUnsupported for what is not reported.
 Result<TensorLayout> read_layout(const VkTensorDescriptionARM& description, const Device& device);
 
+/// Where the shape of a tensor lies for shaders (tensor_shader.h).
+struct ShapeSlot {
+  VkBuffer buffer = VK_NULL_HANDLE;  ///< null without shaders that access tensors
+  uint64_t offset = 0;
+  uint32_t* words = nullptr;
+};
+
+/// Slots in buffers that the host writes; any number of threads.
+class ShapeSlots {
+ public:
+  explicit ShapeSlots(const Device& device) : device_(device) {}
+  /// Errors: kDevice.
+  Result<ShapeSlot> take(const TensorLayout& layout);
+  void give_back(const ShapeSlot& slot);
+
+ private:
+  const Device& device_;
+  std::mutex mutex_;
+  std::vector<vk::Buffer> buffers_;
+  std::vector<ShapeSlot> free_;
+};
+
 struct Tensor {
   uint64_t id = 0;  ///< never used again, as handles are
   VkTensorCreateFlagsARM flags = 0;
   TensorLayout layout;
   VkBuffer buffer = VK_NULL_HANDLE;
+  ShapeSlot shape = {};
   bool bound = false;
 };
 

@@ -15,7 +15,7 @@ namespace {
 
 using Words = std::vector<uint32_t>;
 
-constexpr size_t kHeaderWords = 5;
+constexpr size_t kHeaderWords = 5;  // of a module
 constexpr uint32_t kMagic = 0x07230203;
 constexpr uint32_t kMostRank = 6;
 
@@ -115,6 +115,7 @@ class Lowering {
   Result<Words> run(std::span<const uint32_t> words) {
     SHALE_TRY_VOID(read(words));
     find_variables();
+    find_gone();
     for (const Instruction& instruction : instructions_) SHALE_TRY_VOID(lower(instruction));
     return write(words);
   }
@@ -290,6 +291,21 @@ class Lowering {
     }
   }
 
+  /// What is not in the result, so that nothing may name it.
+  void find_gone() {
+    for (const Instruction& instruction : instructions_) {
+      const Words& o = instruction.operands;
+      const bool is_access =
+          instruction.op == kOpAccessChain || instruction.op == kOpInBoundsAccessChain;
+      if ((is_access && o.size() == 4 && by_id_.contains(o[2])) ||
+          (instruction.op == kOpLoad && o.size() >= 3 && is(o[0], kOpTypeTensor, 2)))
+        gone_.insert(o[1]);
+    }
+    for (const auto& [id, known] : types_)
+      if (is_tensor(id) || (is(id, kOpTypePointer, 3) && is_tensor(known.operands[2])))
+        gone_.insert(id);
+  }
+
   const Place* place(uint32_t id) const {
     const auto found = places_.find(id);
     return found == places_.end() ? nullptr : &found->second;
@@ -313,6 +329,10 @@ class Lowering {
       case kOpEntryPoint: return lower_entry_point(instruction);
       case kOpDecorate:
         if (o.size() >= 2 && by_id_.contains(o[0])) return lower_decoration(instruction);
+        if (!o.empty() && gone_.contains(o[0])) return {};
+        break;
+      case kOpName:
+        if (!o.empty() && gone_.contains(o[0])) return {};
         break;
       case kOpTypeTensor: return {};
       case kOpTypeArray:
@@ -735,6 +755,7 @@ class Lowering {
   std::map<uint32_t, uint32_t> words_, nulls_;
   std::map<std::tuple<uint32_t, uint32_t, bool, uint32_t, uint32_t, bool, uint32_t>, uint32_t>
       functions_by_access_;
+  std::set<uint32_t> gone_;  ///< ids
   std::set<uint32_t> capabilities_, stated_;
   uint32_t word_type_ = 0, bool_type_ = 0, void_type_ = 0;
   bool in_declarations_ = false, in_functions_ = false;
