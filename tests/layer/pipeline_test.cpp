@@ -1,5 +1,8 @@
 // Data graph pipelines: caches, properties, specialization, and modules that are wrong.
+#include <cstdlib>
 #include <cstring>
+#include <filesystem>
+#include <fstream>
 #include <random>
 
 #include "tests/compiler/graph_support.h"
@@ -330,6 +333,53 @@ graph main {
 )");
   ClientRun run;
   EXPECT_LT(run.create(client, other, module, {}), 0) << "tensors of other sizes";
+}
+
+TEST_F(PipelineLayerTest, GraphsAreKeptOnDiskUnlessTheyAreDamaged) {
+  namespace fs = std::filesystem;
+  const fs::path folder = fs::path(testing::TempDir()) / "shale_layer_cache";
+  fs::remove_all(folder);
+  setenv("SHALE_LAYER_CACHE", folder.c_str(), 1);
+  const Graph graph = small_graph();
+  const std::vector<Tensor> inputs = random_inputs(graph, 5);
+  const auto log_of_new_device = [&] {
+    Client other;
+    EXPECT_EQ(client_open(&other, nullptr), VK_SUCCESS);
+    std::string log(256, '\0');
+    {
+      ClientRun run;
+      EXPECT_EQ(run.create(other, graph), VK_SUCCESS);
+      EXPECT_EQ(run.run(inputs), must(interpret(graph, inputs)));
+      VkDataGraphPipelineInfoARM which{};
+      which.sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_INFO_ARM;
+      which.dataGraphPipeline = run.graph.pipeline;
+      VkDataGraphPipelinePropertyQueryResultARM result{};
+      result.sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_PROPERTY_QUERY_RESULT_ARM;
+      result.property = VK_DATA_GRAPH_PIPELINE_PROPERTY_CREATION_LOG_ARM;
+      result.dataSize = log.size();
+      result.pData = log.data();
+      EXPECT_EQ(other.GetDataGraphPipelinePropertiesARM(other.device, &which, 1, &result),
+                VK_SUCCESS);
+    }
+    client_close(&other);
+    return log;
+  };
+  const auto packages = [&] {
+    std::vector<fs::path> files;
+    for (const fs::directory_entry& entry : fs::directory_iterator(folder))
+      if (entry.path().extension() == ".shale") files.push_back(entry.path());
+    return files;
+  };
+  EXPECT_NE(log_of_new_device().find("compiled"), std::string::npos);
+  ASSERT_EQ(packages().size(), 1u);
+  EXPECT_NE(log_of_new_device().find("cache"), std::string::npos);
+  std::fstream(packages()[0], std::ios::in | std::ios::out | std::ios::binary).seekp(100).put('?');
+  EXPECT_NE(log_of_new_device().find("compiled"), std::string::npos);
+  EXPECT_NE(log_of_new_device().find("cache"), std::string::npos) << "the damaged file is replaced";
+  fs::resize_file(packages()[0], 10);
+  EXPECT_NE(log_of_new_device().find("compiled"), std::string::npos);
+  setenv("SHALE_LAYER_CACHE", "off", 1);
+  fs::remove_all(folder);
 }
 
 TEST_F(PipelineLayerTest, OneOfSeveralMayFail) {
