@@ -20,11 +20,12 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
+constexpr uint32_t kFrameRate = 30;     ///< of frames that are not generated, in an animation
 
 struct Arguments {
   std::string model, input, output, format, compare, reference, animation, debug_view, dump;
   std::vector<uint32_t> crop;
-  uint32_t zoom = 4, repeat = 0;
+  uint32_t zoom = 4, repeat = 0, generate = 0;
   SourceArguments source;
   CompileArguments compile;
   DeviceArguments device;
@@ -154,8 +155,7 @@ Result<Json> psnr_against(const std::string& path, const Picture& input, const P
               {"result", psnr_db(result, reference)}};
 }
 
-void print(const Json& json, const std::vector<DispatchTime>& median, size_t measured,
-           std::FILE* to) {
+void print_frames(const Json& json, std::FILE* to) {
   for (const Json& frame : json["frames"]) {
     fmt::print(to, "{} -> {} ({}x{}){}\n", frame["input"].get<std::string>(),
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
@@ -165,7 +165,9 @@ void print(const Json& json, const std::vector<DispatchTime>& median, size_t mea
       for (const auto& [name, value] : frame["psnr_db"].items())
         fmt::print(to, "  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());
   }
-  if (median.empty()) return;
+}
+
+void print_times(const Json& json, const char* what, size_t measured, std::FILE* to) {
   for (const Json& time : json["dispatches"])
     fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {:<14} {:<20} {}\n", time["time_us"].get<double>(),
                100 * time["share"].get<double>(), time["segment"].get<std::string>(),
@@ -173,7 +175,7 @@ void print(const Json& json, const std::vector<DispatchTime>& median, size_t mea
   for (const Json& time : json["segments"])
     fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {}\n", time["time_us"].get<double>(),
                100 * time["share"].get<double>(), time["segment"].get<std::string>());
-  fmt::print(to, "  {:>10.1f} us a frame, median of {}\n", json["frame_us"].get<double>(),
+  fmt::print(to, "  {:>10.1f} us a {}, median of {}\n", json["frame_us"].get<double>(), what,
              measured);
 }
 
@@ -198,7 +200,28 @@ void add_times(Json& json, const std::vector<DispatchTime>& median) {
   for (Json& segment : json["segments"]) segment["share"] = share(segment["time_us"].get<double>());
 }
 
-/// Where the results go: by frame, and claimed before the first is played.
+/// A picture as it is shown: a frame, or what is generated once that frame is there.
+struct Shown {
+  uint32_t frame = 0;
+  std::optional<float> time{};
+};
+
+/// In the order in which they are shown, `count` pictures beside each frame. Nothing lies before the
+/// first frame.
+std::vector<Shown> shown_pictures(uint32_t frames, const std::optional<Generator>& generator,
+                                  uint32_t count) {
+  std::vector<Shown> shown;
+  for (uint32_t i = 0; i < frames; ++i) {
+    const bool waits = generator && generator->waits();
+    if (!waits) shown.push_back({i});
+    for (uint32_t k = 1; k <= count && (i > 0 || !waits); ++k)
+      shown.push_back({i, generated_time(*generator, k, count)});
+    if (waits) shown.push_back({i});
+  }
+  return shown;
+}
+
+/// Where the results go: by shown picture, and claimed before the first is played.
 struct Paths {
   std::vector<std::string> results, views;  ///< views: empty without --debug-view
 };
@@ -208,7 +231,8 @@ bool writes_exr(const Arguments& arguments) {
                                   : arguments.format == "exr";
 }
 
-Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind) {
+Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind,
+                          const std::vector<Shown>& shown) {
   const bool is_pictures = kind == SourceKind::kPictures;
   std::error_code ignored;
   const bool to_folder = !is_pictures || source.frame_count() > 1 ||
@@ -224,9 +248,10 @@ Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, Sourc
                        : fmt::format("{} frame {}", arguments.input, i);
   };
   for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep(label(i));
-  for (uint32_t i = 0; i < source.frame_count(); ++i) {
+  for (size_t s = 0; s < shown.size(); ++s) {
+    const uint32_t i = shown[s].frame;
     const std::string name =
-        is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", i);
+        is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", s);
     const bool is_exr = writes_exr(arguments);
     paths.results.push_back(
         to_folder ? (fs::path(arguments.output) / (name + (is_exr ? ".exr" : ".png"))).string()
@@ -275,10 +300,17 @@ Result<int> play(const Arguments& arguments) {
   }
   if (arguments.check && sandwich.graphs.empty())
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);
-  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind));
+  const std::optional<Generator>& generator = sandwich.package.variants.front().generator;
+  if (arguments.generate > 0 && (!generator || !is_sequence))
+    return bad_input("--generate", "{}",
+                     is_sequence ? arguments.model + " has no program that generates pictures"
+                                 : "single pictures have no motion; expected a scene or a dataset");
+  const std::vector<Shown> shown =
+      shown_pictures(source->frame_count(), generator, arguments.generate);
+  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind, shown));
 
-  std::vector<std::vector<DispatchTime>> measured;
-  std::vector<PngPicture> shown;
+  std::vector<std::vector<DispatchTime>> measured, measured_generated;
+  std::vector<PngPicture> animation(arguments.animation.empty() ? 0 : shown.size());
   Json json{{"device", device.context().caps.name}, {"frames", Json::array()}};
   int exit = kDone;
   {
@@ -302,25 +334,40 @@ Result<int> play(const Arguments& arguments) {
           is_sequence && !to_exr ? player->show(frame, wanted) : player->play(frame, wanted);
       if (!played) return in_file(label, played.error());
       if (arguments.profile) measured.push_back(std::move(times));
-      const std::string& output = paths.results[i];
-      if (to_exr) {
-        SHALE_TRY_VOID(write_exr(output, *played, ExrPrecision::kHalf));
-        *played = display_image(*played, frame.camera.exposure);
-      }
-      const Picture result = to_picture(*played);
-      if (!to_exr) SHALE_TRY_VOID(save_png(output, result));
-      Json entry{
-          {"input", label}, {"output", output}, {"width", result.width}, {"height", result.height}};
-      if (!arguments.animation.empty()) shown.push_back(encode_png(result));
-      if (!arguments.debug_view.empty()) {
+      /// Writes a picture in its place among the shown ones; gives it back as it is shown.
+      const auto write = [&](size_t at, FloatImage picture) -> Result<Picture> {
+        if (to_exr) {
+          SHALE_TRY_VOID(write_exr(paths.results[at], picture, ExrPrecision::kHalf));
+          picture = display_image(picture, frame.camera.exposure);
+        }
+        Picture result = to_picture(picture);
+        if (!to_exr) SHALE_TRY_VOID(save_png(paths.results[at], result));
+        if (!arguments.animation.empty()) animation[at] = encode_png(result);
+        if (arguments.debug_view.empty()) return result;
         SHALE_TRY(std::vector<Panel> panels, player->views());
         panels.push_back({"result", result});
         for (Panel& panel : panels)
           panel.picture = upscale_nearest(
               panel.picture, kMosaicWidth,
               std::max(1u, kMosaicWidth * panel.picture.height / panel.picture.width));
-        SHALE_TRY_VOID(save_png(paths.views[i], side_by_side(panels, 4)));
-      }
+        SHALE_TRY_VOID(save_png(paths.views[at], side_by_side(panels, 4)));
+        return result;
+      };
+      const auto entry_of = [&](size_t at, const Picture& result) {
+        return Json{{"input", label},
+                    {"output", paths.results[at]},
+                    {"width", result.width},
+                    {"height", result.height}};
+      };
+      const auto at = [&](std::optional<float> time) {
+        return static_cast<size_t>(
+            std::find_if(shown.begin(), shown.end(),
+                         [&](const Shown& each) { return each.frame == i && each.time == time; }) -
+            shown.begin());
+      };
+      const size_t rendered_at = at({});
+      SHALE_TRY(const Picture result, write(rendered_at, *std::move(played)));
+      Json entry = entry_of(rendered_at, result);
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
         const size_t which = sandwich.graphs.size() > 1 ? player->program() : 0;
@@ -342,24 +389,51 @@ Result<int> play(const Arguments& arguments) {
         }
       }
       json["frames"].push_back(std::move(entry));
+      for (const Shown& each : shown) {
+        if (each.frame != i || !each.time) continue;
+        std::vector<DispatchTime>* const generated_times =
+            arguments.profile ? &measured_generated.emplace_back() : nullptr;
+        Result<FloatImage> generated = to_exr ? player->generate(*each.time, generated_times)
+                                              : player->show_generated(*each.time, generated_times);
+        if (!generated) return in_file(label, generated.error());
+        SHALE_TRY(const Picture picture, write(at(each.time), *std::move(generated)));
+        Json generated_entry = entry_of(at(each.time), picture);
+        generated_entry["generated_at"] = *each.time;
+        json["frames"].push_back(std::move(generated_entry));
+      }
     }
     if (arguments.repeat > 0) measured.clear();
     for (uint32_t i = 0; i < arguments.repeat; ++i) {
       if (!progress.step(i, arguments.repeat)) return bad_input("", "interrupted");
       SHALE_TRY_VOID(player->run(&measured.emplace_back()));
     }
+    if (arguments.repeat > 0 && arguments.generate > 0) measured_generated.clear();
+    for (uint32_t i = 0; arguments.generate > 0 && i < arguments.repeat; ++i) {
+      if (!progress.step(i, arguments.repeat)) return bad_input("", "interrupted");
+      SHALE_TRY(const FloatImage ignored,
+                player->generate(generated_time(*generator, 1, arguments.generate),
+                                 &measured_generated.emplace_back()));
+    }
   }
   source.reset();  // before the device
   SHALE_TRY_VOID(device.close());
   if (!arguments.animation.empty()) {
-    SHALE_TRY_VOID(save_animation(arguments.animation, shown, 30));
+    SHALE_TRY_VOID(save_animation(arguments.animation, animation,
+                                  static_cast<uint16_t>(kFrameRate * (arguments.generate + 1))));
   }
-  const std::vector<DispatchTime> median = median_times(measured);
+  const std::vector<DispatchTime> median = median_times(measured),
+                                  median_generated = median_times(measured_generated);
   if (!median.empty()) add_times(json, median);
-  if (arguments.json)
+  if (!median_generated.empty()) add_times(json["generated"], median_generated);
+  if (arguments.json) {
     print_json(json);
-  else
-    print(json, median, measured.size(), summary_stream(arguments.output));
+    return exit;
+  }
+  std::FILE* const to = summary_stream(arguments.output);
+  print_frames(json, to);
+  if (!median.empty()) print_times(json, "frame", measured.size(), to);
+  if (!median_generated.empty())
+    print_times(json["generated"], "generated picture", measured_generated.size(), to);
   return exit;
 }
 
@@ -382,6 +456,10 @@ Action add_play(CLI::App& app) {
          "png, as a display shows it, or exr: linear, halves (default: as the suffix, else png)")
       ->check(CLI::IsMember({"png", "exr"}));
   arguments->source.add_to(app);
+  app.add_option("--generate", arguments->generate,
+                 "pictures to make between rendered frames, or beyond each, by the sandwich's "
+                 "program for that; shown in between")
+      ->check(CLI::Range(1u, 15u));
   app.add_option("--animation", arguments->animation, "also write all frames as animated PNG");
   app.add_option("--debug-view", arguments->debug_view,
                  "folder for a mosaic of the intermediate images of each frame");
@@ -410,6 +488,8 @@ Action add_play(CLI::App& app) {
       "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames "
       "8 "
       "--profile\n"
+      "Example: shale play models/baselines/mob_fgsr_interpolation -i "
+      "models/scenes/test/motion.json -o frames --generate 1 --animation double.png\n"
       "Example: shale play models/baselines/tss -i thin -o frames --format exr\n"
       "Example: shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
       "panels.png");
