@@ -25,6 +25,11 @@ $shale play out/nss_v1_high.shale -i models/scenes/test/motion.json -o out/frame
   --debug-view out/debug --animation out/animation.png
 
 echo
+echo "== as many pictures again, made between the frames without a network"
+$shale play models/baselines/mob_fgsr_sr_interpolation -i models/scenes/test/motion.json -o out/doubled --frames 6 \
+  --render 480x270 --generate 1 --animation out/doubled.png
+
+echo
 echo "== what the network costs, and whether it fits the frame budget"
 $shale report models/nss_v1_high
 
@@ -32,4 +37,5 @@ echo
 echo "Look at:"
 echo "  out/report.html    figures over time, before and after, where the methods differ"
 echo "  out/animation.png  the upscaled frames, in a browser"
+echo "  out/doubled.png    frames and what was made between them"
 echo "  out/debug/         what the passes and the network see and say"

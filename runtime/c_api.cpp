@@ -270,6 +270,31 @@ ShaleResult shale_loop_record(ShaleLoop* loop, const char* program, VkCommandBuf
   });
 }
 
+ShaleResult shale_loop_generator_info(const ShaleLoop* loop, ShaleGeneratorInfo* info,
+                                      ShaleError* error) {
+  return guarded(error, [&]() -> Result<void> {
+    SHALE_TRY_VOID(given(loop, "loop"));
+    SHALE_TRY_VOID(check_struct(info, "info"));
+    const shale::Variant& variant = loop->loop.variant();
+    if (!variant.generator)
+      return shale::bad_input("", "the package has no program that generates pictures");
+    info->waits = variant.generator->waits();
+    info->program = variant.programs[variant.generator->program].c_str();
+    info->after = variant.generator->after;
+    info->until = variant.generator->until;
+    return {};
+  });
+}
+
+ShaleResult shale_loop_generate(ShaleLoop* loop, float time, VkCommandBuffer commands,
+                                ShaleError* error) {
+  return guarded(error, [&]() -> Result<void> {
+    SHALE_TRY_VOID(given(loop, "loop"));
+    SHALE_TRY_VOID(given(commands, "commands"));
+    return loop->loop.generate(time, commands);
+  });
+}
+
 ShaleResult shale_depth_to_view(const ShaleCamera* camera, float values[4], ShaleError* error) {
   return guarded(error, [&]() -> Result<void> {
     SHALE_TRY_VOID(check_struct(camera, "camera"));

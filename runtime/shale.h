@@ -160,10 +160,30 @@ ShaleResult shale_loop_reset_history(ShaleLoop* loop, ShaleError* error);
 
 /* Adds a program to a command buffer that is being recorded, outside of a render pass. Each record
  * is submitted once, in the order of recording. Changes the bound compute pipeline and set 0.
- * `program` may be null: then it is the only one, or the one that a parameter of the package
- * chooses; an error where the host has to choose. */
+ * `program` may be null: then it is the only one, the one that a parameter of the package chooses,
+ * or that which renders where the other one generates; an error where the host has to choose. */
 ShaleResult shale_loop_record(ShaleLoop* loop, const char* program, VkCommandBuffer commands,
                               ShaleError* error);
+
+/* ---- Pictures between rendered frames */
+
+/* Times are in rendered frames: the newest one is at 1, the one before at 0. Of N pictures for each
+ * rendered frame the k-th is at k / (N + 1), and 1 more if the program does not wait. */
+typedef struct ShaleGeneratorInfo {
+  uint32_t struct_size;
+  VkBool32 waits;      /* pictures are shown before the newest rendered frame, else behind it */
+  const char* program; /* the name of the program that makes them */
+  float after, until;  /* it takes times above the one, up to the other */
+} ShaleGeneratorInfo;
+
+/* An error if no program of the package makes such pictures. */
+ShaleResult shale_loop_generator_info(const ShaleLoop* loop, ShaleGeneratorInfo* info,
+                                      ShaleError* error);
+/* Adds the making of a picture from the frames that were recorded last; no frame to come finds
+ * anything of it. It writes the output images that are bound now. While a single frame was recorded
+ * since a reset, as behind a cut, the picture is that frame. */
+ShaleResult shale_loop_generate(ShaleLoop* loop, float time, VkCommandBuffer commands,
+                                ShaleError* error);
 
 /* ---- Cameras */
 

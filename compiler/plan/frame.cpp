@@ -165,10 +165,14 @@ Result<Param> parse_param(const Fields& fields) {
   param.components = known->second;
   param.is_integer = type[0] == 'i';
   param.default_values.assign(param.components, 0.0f);
-  if (fields.has("reset")) {
-    if (!fields.json()["reset"].is_boolean())
-      return bad_input(fields.where(), "\"reset\" must be true or false");
-    if (fields.json()["reset"].get<bool>()) param.source = ParamSource::kReset;
+  constexpr std::pair<const char*, ParamSource> kSources[] = {{"reset", ParamSource::kReset},
+                                                              {"time", ParamSource::kTime},
+                                                              {"frames", ParamSource::kFrames}};
+  for (const auto& [key, source] : kSources) {
+    if (!fields.has(key)) continue;
+    if (!fields.json()[key].is_boolean())
+      return bad_input(fields.where(), "\"{}\" must be true or false", key);
+    if (fields.json()[key].get<bool>()) param.source = source;
   }
   if (!fields.has("default")) return param;
   const Json& values = fields.json()["default"];
@@ -294,8 +298,9 @@ Result<void> parse_bindings(const Fields& fields, FramePass& pass) {
       SHALE_TRY(FrameBinding binding, parse_binding(entry));
       binding.reads = reads;
       binding.writes = writes;
-      if (writes && (binding.frames_back != 0 || !entry.json().is_string()))
-        return bad_input(entry.where(), "must be a name: only this frame's can be written");
+      if (writes && binding.frames_back != 0)
+        return bad_input(entry.where(), "\"frames_back\" is {}: only this frame's can be written",
+                         binding.frames_back);
       for (const FrameBinding& other : pass.bindings)
         if (other.handle == binding.handle && other.writes == writes)
           return bad_input(entry.where(), "the name \"{}\" is used twice", binding.handle);
@@ -394,7 +399,7 @@ Result<FramePass> parse_pass(const Fields& fields, SetIndex set) {
 }
 
 Result<FrameProgram> parse_program(const Fields& fields, std::string name, SetIndex set = {}) {
-  FrameProgram program{std::move(name), {}, {}};
+  FrameProgram program{std::move(name), {}, {}, {}};
   SHALE_TRY(const std::vector<Fields> passes, fields.list("passes"));
   for (const Fields& entry : passes) {
     SHALE_TRY(FramePass pass, parse_pass(entry, set));
@@ -403,6 +408,15 @@ Result<FrameProgram> parse_program(const Fields& fields, std::string name, SetIn
   }
   if (program.passes.empty()) return bad_input(fields.where() + ".passes", "there is no pass");
   return program;
+}
+
+/// Times above the first, up to the second; check_package judges them.
+Result<std::optional<std::array<float, 2>>> parse_generates(const Fields& fields) {
+  if (!fields.has("generates")) return std::optional<std::array<float, 2>>();
+  const Json& times = fields.json()["generates"];
+  if (!times.is_array() || times.size() != 2 || !times[0].is_number() || !times[1].is_number())
+    return bad_input(fields.where(), "\"generates\" must be two times, as [0, 1]");
+  return std::optional(std::array{times[0].get<float>(), times[1].get<float>()});
 }
 
 /// "sets": the passes once for each set of weights, and the values of a parameter that choose it.
@@ -531,6 +545,7 @@ Result<Frame> parse_frame(const std::string& text) {
       if (other.name == name)
         return bad_input(fields.where(), "the name \"{}\" is used twice", name);
     SHALE_TRY(FrameProgram program, parse_program(fields, std::move(name)));
+    SHALE_TRY(program.generates, parse_generates(fields));
     frame.programs.push_back(std::move(program));
   }
   if (frame.programs.empty()) return bad_input("frame.programs", "there is no program");

@@ -73,6 +73,8 @@ struct FrameProgram {
   std::string name;
   std::vector<FramePass> passes;
   std::vector<float> at;  ///< with Frame::chosen_by: the values that choose it
+  /// Of the program that makes pictures between or beyond rendered frames: Generator's times.
+  std::optional<std::array<float, 2>> generates;
 };
 
 /// As View, with the resource by name.

@@ -86,14 +86,28 @@ Defines pass_defines(const Variant& variant, const FramePass& pass) {
     defines.emplace_back(
         "SHALE_PARAMS",
         fmt::format("layout(push_constant, std430) uniform Params {{{} }} params", members));
-  for (const Resource& resource : variant.resources) {
-    if (resource.category == Category::kWeights || resource.category == Category::kIntermediate)
-      continue;
+  const auto upper_case = [](const std::string& from) {
     std::string name;
-    for (const char c : resource.name)
+    for (const char c : from)
       name += std::isalnum(static_cast<unsigned char>(c)) != 0
                   ? static_cast<char>(std::toupper(static_cast<unsigned char>(c)))
                   : '_';
+    return name;
+  };
+  for (const Resource& resource : variant.resources) {
+    if (resource.category == Category::kWeights || resource.category == Category::kIntermediate)
+      continue;
+    const std::string name = upper_case(resource.name);
+    for (const FrameBinding& binding : pass.bindings) {
+      // Images that the shader knows by another name; one of a resource's own means that.
+      if (binding.name != resource.name || !is_image(resource.category) ||
+          std::any_of(variant.resources.begin(), variant.resources.end(),
+                      [&](const Resource& other) { return other.name == binding.handle; }))
+        continue;
+      const std::string handle = upper_case(binding.handle);
+      defines.emplace_back(handle + "_WIDTH", std::to_string(resource.width));
+      defines.emplace_back(handle + "_HEIGHT", std::to_string(resource.height));
+    }
     if (is_image(resource.category)) {
       defines.emplace_back(name + "_WIDTH", std::to_string(resource.width));
       defines.emplace_back(name + "_HEIGHT", std::to_string(resource.height));
@@ -407,7 +421,7 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places&
   return {};
 }
 
-/// Outputs that show an image have its format and size, and no pass writes them.
+/// Outputs that show an image have its format and size, and no pass writes them but those that generate.
 Result<void> check_shown(const Variant& variant, const Frame& frame) {
   for (const FrameImage& image : frame.images) {
     if (image.shows.empty()) continue;
@@ -424,11 +438,12 @@ Result<void> check_shown(const Variant& variant, const Frame& frame) {
     for (const FrameImage& other : frame.images)
       if (&other != &image && other.shows == image.shows)
         return bad_input(where, "shows \"{}\", as \"{}\" does", image.shows, other.name);
-    for (const FramePass* pass : shader_passes(frame))
-      for (const FrameBinding& binding : pass->bindings)
-        if (binding.name == image.name)
-          return bad_input(pass_label(*pass), "writes \"{}\", which shows \"{}\"", image.name,
-                           image.shows);
+    for (const FrameProgram& program : frame.programs)
+      for (const FramePass& pass : program.passes)
+        for (const FrameBinding& binding : pass.bindings)
+          if (binding.name == image.name && !program.generates)
+            return bad_input(pass_label(pass), "writes \"{}\", which shows \"{}\"", image.name,
+                             image.shows);
   }
   return {};
 }
@@ -460,6 +475,12 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
   for (const FrameProgram& program : frame.programs) {
     const uint32_t index = static_cast<uint32_t>(variant.programs.size());
     variant.programs.push_back(program.name);
+    if (program.generates) {
+      if (variant.generator)
+        return bad_input("frame.programs", "\"{}\" and \"{}\" generate, one can",
+                         variant.programs[variant.generator->program], program.name);
+      variant.generator = {index, (*program.generates)[0], (*program.generates)[1]};
+    }
     variant.choices.insert(variant.choices.end(), program.at.begin(), program.at.end());
     for (const auto& [from, to] : places.copies) {
       const std::string& name = variant.resources[from].name;

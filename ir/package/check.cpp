@@ -291,6 +291,10 @@ Result<void> check_param(const std::string& where, const Param& param) {
     return bad_input(where, "source {} does not exist", static_cast<uint32_t>(param.source));
   if (param.source == ParamSource::kReset && (!param.is_integer || param.components != 1))
     return bad_input(where, "the reset flag must be one integer");
+  if (param.source == ParamSource::kFrames && (!param.is_integer || param.components != 1))
+    return bad_input(where, "the number of frames must be one integer");
+  if (param.source == ParamSource::kTime && (param.is_integer || param.components != 1))
+    return bad_input(where, "the time must be one float");
   const uint32_t alignment = param.components == 1 ? 4 : param.components == 2 ? 8 : 16;
   if (param.offset_bytes % alignment != 0 ||
       param.offset_bytes > kMaxParamBytes - 4 * param.components)
@@ -343,6 +347,45 @@ Result<void> check_choices(const std::string& where, const Variant& variant) {
                      variant.choices.size(), param->components, variant.programs.size());
   for (const float value : variant.choices)
     if (!std::isfinite(value)) return bad_input(where, "{} chooses no program", value);
+  return {};
+}
+
+/// The program that makes pictures leaves nothing that another finds. The programs are sound.
+Result<void> check_generator(const std::string& where, const Variant& variant) {
+  if (!variant.generator) {
+    for (const Param& param : variant.params)
+      if (param.source == ParamSource::kTime || param.source == ParamSource::kFrames)
+        return bad_input(where, "parameter \"{}\" is for a program that generates, and none does",
+                         param.name);
+    return {};
+  }
+  const Generator& generator = *variant.generator;
+  if (variant.programs.size() != 2 || !variant.chosen_by.empty())
+    return bad_input(where, "a program that generates needs one other beside it, there are {}{}",
+                     variant.programs.size() - 1,
+                     variant.chosen_by.empty() ? "" : ", chosen by a parameter");
+  if (generator.program >= 2)
+    return bad_input(where, "program {} generates, there are 2", generator.program);
+  if (!(generator.after >= 0 && generator.after < generator.until && generator.until <= kMaxTime))
+    return bad_input(where, "generates at times above {} up to {}, expected a range in 0 to {}",
+                     generator.after, generator.until, kMaxTime);
+  std::set<uint32_t> rendered;  // what the other program binds
+  for (const Segment& segment : program_segments(variant, 1 - generator.program))
+    for (const Dispatch& dispatch : segment.dispatches)
+      for (const Binding& binding : dispatch.bindings) rendered.insert(binding.resource);
+  for (const Segment& segment : program_segments(variant, generator.program))
+    for (const Dispatch& dispatch : segment.dispatches)
+      for (const Binding& binding : dispatch.bindings) {
+        const Resource& resource = variant.resources[binding.resource];
+        if (!binding.writes) continue;
+        const bool is_tensor =
+            resource.category == Category::kInput || resource.category == Category::kOutput;
+        if (resource.history_depth != 0 || (is_tensor && rendered.contains(binding.resource)))
+          return bad_input(fmt::format("{}, dispatch \"{}\"", where, dispatch.name),
+                           "generates pictures, and writes \"{}\", which the next rendered frame "
+                           "would find",
+                           resource.name);
+      }
   return {};
 }
 
@@ -480,6 +523,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
   SHALE_TRY_VOID(check_programs(where, variant));
   SHALE_TRY_VOID(check_params(where, variant));
   SHALE_TRY_VOID(check_choices(where, variant));
+  SHALE_TRY_VOID(check_generator(where, variant));
   for (size_t i = 0; i < variant.views.size(); ++i)
     SHALE_TRY_VOID(check_view(fmt::format("{}, view {}", where, i), variant.views[i], variant));
   for (size_t i = 0; i < variant.proofs.size(); ++i) {

@@ -98,6 +98,9 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
              ? ""
              : fmt::format(" where \"{}\" is nearest {}", variant.chosen_by,
                            fmt::join(std::span(variant.choices).subspan(i * values, values), ",")));
+    if (variant.generator && variant.generator->program == i)
+      line(text, "    generates pictures at times above {} up to {}", variant.generator->after,
+           variant.generator->until);
     for (const Segment& segment : program_segments(variant, i))
       dump_segment(text, segment, variant);
   }
@@ -108,11 +111,12 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
     line(text, "    {:3} {} words, hash {:016x}", i, words.size(),
          stable_hash({bytes, words.size() * sizeof(uint32_t)}));
   }
+  constexpr const char* kSources[kParamSourceCount] = {"", " (reset)", " (time)", " (frames)"};
   if (!variant.params.empty()) line(text, "  parameters: {}", variant.params.size());
   for (const Param& p : variant.params)
     line(text, "    {:3} {}{} \"{}\" = {}{}", p.offset_bytes, p.is_integer ? "i32" : "f32",
          p.components > 1 ? fmt::format("[{}]", p.components) : "", p.name,
-         fmt::join(p.default_values, ","), p.source == ParamSource::kReset ? " (reset)" : "");
+         fmt::join(p.default_values, ","), kSources[static_cast<size_t>(p.source)]);
   if (!variant.views.empty()) line(text, "  views: {}", variant.views.size());
   for (const View& v : variant.views)
     line(text, "    \"{}\": channels {}..{} of \"{}\", {} to {}", v.title, v.first_channel,

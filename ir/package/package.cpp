@@ -136,9 +136,13 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto programs = builder.CreateVectorOfStrings(v.programs);
   const auto chosen_by = v.chosen_by.empty() ? 0 : builder.CreateString(v.chosen_by);
   const auto choices = v.choices.empty() ? 0 : builder.CreateVector(v.choices);
+  const auto generator = v.generator ? fbs::CreateGenerator(builder, v.generator->program,
+                                                            v.generator->after, v.generator->until)
+                                     : 0;
   return fbs::CreateVariant(builder, target, requirements, v.arena_bytes, resources, segments,
                             modules, proofs, params, views, programs,
-                            static_cast<fbs::DeviceClass>(v.device_class), chosen_by, choices);
+                            static_cast<fbs::DeviceClass>(v.device_class), chosen_by, choices,
+                            generator);
 }
 
 // ---- Reading: verified tables to plain data. check_package judges the enum values later.
@@ -305,6 +309,8 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   variant.device_class = static_cast<DeviceClass>(v.device_class());
   if (v.chosen_by()) variant.chosen_by = copy.text(v.chosen_by());
   if (v.choices()) variant.choices = copy.scalars(v.choices());
+  if (const fbs::Generator* g = v.generator())
+    variant.generator = {g->program(), g->after(), g->until()};
   return variant;
 }
 

@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 5;
+inline constexpr uint32_t kPackageMinor = 6;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -185,8 +185,12 @@ struct Dispatch {
 enum class ParamSource : uint8_t {
   kHost = 0,   ///< the host, by name; until then the default
   kReset = 1,  ///< the frame loop: 1 in a frame whose histories hold nothing, else 0
+  kTime = 2,   ///< the frame loop: that of the picture which a Generator makes, else 1
+  /// The frame loop: how many frames were rendered since the histories were empty, the newest one,
+  /// which may be the record itself, included; at most 2^24. Only beside a Generator.
+  kFrames = 3,
 };
-inline constexpr uint32_t kParamSourceCount = 2;
+inline constexpr uint32_t kParamSourceCount = 4;
 
 /// A value that may change from frame to frame, for the passes of the kCompute segments: part of
 /// their push constants. Vectors are aligned as in std430: two components to 8 bytes, three and
@@ -236,6 +240,25 @@ struct RangeProof {
   bool operator==(const RangeProof&) const = default;
 };
 
+/// A program that makes pictures between rendered frames, or beyond them. The variant's other program
+/// renders: it leaves in histories what this one reads, and nothing that this one writes gets there.
+/// Times are in rendered frames: the newest one is at 1, the one before at 0.
+struct Generator {
+  uint32_t program = 0;
+  float after = 0, until = 1;  ///< takes times above the one, up to the other; 0 to kMaxTime
+  /// True if pictures lie before the newest rendered frame, which is then shown behind them: one
+  /// frame later than without.
+  bool waits() const { return after < 1; }
+  bool operator==(const Generator&) const = default;
+};
+inline constexpr float kMaxTime = 2;
+
+/// The time of picture `index` (from 1) of `count` that a generator makes for each rendered frame.
+inline float generated_time(const Generator& generator, uint32_t index, uint32_t count) {
+  return (generator.waits() ? 0.0f : 1.0f) +
+         static_cast<float>(index) / static_cast<float>(count + 1);
+}
+
 /// A module's words; entry point "main", local size fixed in the words.
 using Spirv = std::vector<uint32_t>;
 
@@ -264,6 +287,7 @@ struct Variant {
   /// record is the first one after a reset for all programs. Empty: the host names programs.
   std::string chosen_by;
   std::vector<float> choices;
+  std::optional<Generator> generator;  ///< then there are two programs, and the host names none
   DeviceClass device_class = DeviceClass::kAny;
   bool operator==(const Variant&) const = default;
 };

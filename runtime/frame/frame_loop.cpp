@@ -15,6 +15,7 @@ constexpr uint32_t kMaxFramesInFlight = 8;
 /// Of the tensors of all graphs together: keeps sums of sizes that a package states far from an
 /// overflow.
 constexpr uint64_t kMaxTensorPoolBytes = uint64_t{1} << 48;
+constexpr uint64_t kMaxFrames = uint64_t{1} << 24;  // that are counted; a float holds it
 constexpr VkImageUsageFlags kShaderUsages = VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT;
 
 bool is_host_image(Category category) {
@@ -76,6 +77,8 @@ struct FrameLoop::State {
 
   std::vector<uint8_t> params;  // push constants of the passes
   uint64_t frame = 0;
+  uint64_t rendered = 0;  // frames since the histories were cleared
+  float time = 1;         // of the picture that is generated
   bool clear_history = true;
   uint32_t chosen = 0;  // program, where a parameter chooses
 
@@ -89,8 +92,11 @@ struct FrameLoop::State {
   Target target(const Program& program, const Binding& binding) const;
   void record_start(VkCommandBuffer commands) const;
   void record_clears(VkCommandBuffer commands) const;
-  Result<void> record(Program& program, std::span<const Step> steps, VkCommandBuffer commands,
-                      vk::Timestamps* timestamps);
+  Result<void> record(uint32_t index, VkCommandBuffer commands, vk::Timestamps* timestamps);
+  bool generates(uint32_t program) const {
+    const std::optional<Generator>& generator = kernels->variant().generator;
+    return generator && generator->program == program;
+  }
   /// Bytes from one slot of a tensor's ring to the next.
   uint64_t slot_bytes(const Resource& tensor) const { return padded_bytes(tensor.size_bytes); }
   /// The position of what was written last; of what is no history, 0.
@@ -396,10 +402,12 @@ Result<void> FrameLoop::set_param(std::string_view name, std::span<const float> 
 
 void FrameLoop::reset_history() {
   state_->clear_history = true;
+  state_->rendered = 0;
   for (Program& program : state_->programs) program.is_reset = true;
 }
 
 std::optional<uint32_t> FrameLoop::next_program() const {
+  if (variant().generator) return 1 - variant().generator->program;
   if (state_->programs.size() > 1 && variant().chosen_by.empty()) return std::nullopt;
   return state_->chosen;
 }
@@ -424,13 +432,30 @@ Result<void> FrameLoop::record(uint32_t program, VkCommandBuffer commands,
   if (program >= state_->programs.size())
     return bad_input("", "the package has no program {}, there are {}", program,
                      state_->programs.size());
-  return state_->record(state_->programs[program], state_->kernels->steps(program), commands,
-                        timestamps);
+  if (state_->generates(program))
+    return bad_input("", "program \"{}\" makes pictures between frames: it needs a time",
+                     variant().programs[program]);
+  return state_->record(program, commands, timestamps);
 }
 
-Result<void> FrameLoop::State::record(Program& program, std::span<const Step> steps,
-                                      VkCommandBuffer commands, vk::Timestamps* timestamps) {
+Result<void> FrameLoop::generate(float time, VkCommandBuffer commands, vk::Timestamps* timestamps) {
+  const std::optional<Generator>& generator = variant().generator;
+  if (!generator) return bad_input("", "the package has no program that generates pictures");
+  if (!(time > generator->after && time <= generator->until))
+    return bad_input("",
+                     "a picture at time {} is asked for, the package takes times above {} up to {}",
+                     time, generator->after, generator->until);
+  if (state_->rendered == 0)
+    return bad_input("", "no frame was rendered since the histories were reset");
+  state_->time = time;
+  return state_->record(generator->program, commands, timestamps);
+}
+
+Result<void> FrameLoop::State::record(uint32_t index, VkCommandBuffer commands,
+                                      vk::Timestamps* timestamps) {
   const Variant& variant = kernels->variant();
+  Program& program = programs[index];
+  const std::span<const Step> steps = kernels->steps(index);
   for (size_t i = 0; i < variant.resources.size(); ++i)
     if (program.uses[i] && is_host_image(variant.resources[i].category) &&
         host_images[i].format == VK_FORMAT_UNDEFINED)
@@ -443,8 +468,13 @@ Result<void> FrameLoop::State::record(Program& program, std::span<const Step> st
 
   // From here on nothing fails.
   if (frame == 0) record_start(commands);
-  for (const Param& param : variant.params)
+  const bool makes_picture = generates(index);
+  if (!makes_picture) rendered = std::min(rendered + 1, kMaxFrames);
+  for (const Param& param : variant.params) {
     if (param.source == ParamSource::kReset) set(param, std::array{program.is_reset ? 1.0f : 0.0f});
+    if (param.source == ParamSource::kTime) set(param, std::array{makes_picture ? time : 1.0f});
+    if (param.source == ParamSource::kFrames) set(param, std::array{static_cast<float>(rendered)});
+  }
   if (clear_history) record_clears(commands);
   clear_history = false;
   program.is_reset = false;

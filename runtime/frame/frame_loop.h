@@ -107,8 +107,9 @@ class FrameLoop {
   /// among them, in the next record. The first records are such ones.
   void reset_history();
 
-  /// The program that a record without a name takes: the package's only one, or the one that its
-  /// parameter chooses (Variant::chosen_by) as it is now. None where the host has to name one.
+  /// The program that a record without a name takes: the package's only one, the one that its
+  /// parameter chooses (Variant::chosen_by) as it is now, or that which renders where the other one
+  /// generates. None where the host has to name one.
   std::optional<uint32_t> next_program() const;
 
   /// Adds next_program() to a command buffer that is being recorded, outside of a render pass, and
@@ -120,11 +121,21 @@ class FrameLoop {
   Result<void> record(VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
 
   /// The same with a program by its name, or by its index in Variant::programs.
-  /// Errors: also kBadInput if there is no such program.
+  /// Errors: also kBadInput if there is no such program, or it generates.
   Result<void> record(std::string_view program, VkCommandBuffer commands,
                       vk::Timestamps* timestamps = nullptr);
   Result<void> record(uint32_t program, VkCommandBuffer commands,
                       vk::Timestamps* timestamps = nullptr);
+
+  /// Adds the program that makes a picture between rendered frames, or beyond them
+  /// (Variant::generator), from what the last records left in the histories; these stay as they
+  /// are. It writes the output images that are bound now, which may be others than those of the
+  /// rendered frame. Where the histories hold one frame only, as behind a cut, the picture is that
+  /// frame. How a host paces N pictures for each rendered frame: generated_time(*generator, k, N);
+  /// if the generator waits(), they are shown before the newest rendered frame, else behind it.
+  /// Errors: as record; also kBadInput if no program generates, it takes no such time, or no frame
+  /// was rendered since the histories were reset.
+  Result<void> generate(float time, VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
 
   /// Number of records so far, of all programs.
   uint64_t frame() const;

@@ -22,4 +22,10 @@ float bilinear_weight(vec2 part, int i) {
 }
 ivec2 bilinear_texel(Bilinear b, int i, ivec2 size) { return inside(b.base + ivec2(i & 1, i >> 1), size); }
 
+/// Weights of four texels in a row, by the part of the way from the second to the third. Source: Keys, a = -1/2.
+vec4 catmull_rom(float x) {
+  const float x2 = x * x, x3 = x2 * x;
+  return vec4(-0.5 * x3 + x2 - 0.5 * x, 1.5 * x3 - 2.5 * x2 + 1.0, -1.5 * x3 + 2.0 * x2 + 0.5 * x, 0.5 * (x3 - x2));
+}
+
 #endif

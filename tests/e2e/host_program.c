@@ -360,9 +360,16 @@ static void record_frame(ShaleLoop* loop, Slot* slot, uint32_t frame) {
   }
   if (frame == kResetBefore) check(shale_loop_reset_history(loop, &last));
   const uint32_t programs = shale_loop_program_count(loop);
-  for (uint32_t i = 0; i < programs; ++i)  // the only one needs no name
-    check(shale_loop_record(loop, programs == 1 ? NULL : shale_loop_program_name(loop, i),
-                            slot->commands, &last));
+  ShaleGeneratorInfo generator = {.struct_size = sizeof(generator)};
+  if (shale_loop_generator_info(loop, &generator, NULL) == SHALE_OK) {
+    /* The picture that is made takes the frame's place in the output. */
+    check(shale_loop_record(loop, NULL, slot->commands, &last));
+    check(shale_loop_generate(loop, generator.waits ? 0.5f : 1.5f, slot->commands, &last));
+  } else {
+    for (uint32_t i = 0; i < programs; ++i)  // the only one needs no name
+      check(shale_loop_record(loop, programs == 1 ? NULL : shale_loop_program_name(loop, i),
+                              slot->commands, &last));
+  }
   for (uint32_t i = 0; i < slot->image_count; ++i) {
     const FrameImage* image = &slot->images[i];
     if (!image->info.is_output) continue;
@@ -491,6 +498,16 @@ static void describe(const Application* app, const ShalePackage* package) {
   printf("target %s\n", shale_loop_target(loop));
   for (uint32_t i = 0; i < shale_loop_program_count(loop); ++i)
     printf("program %s\n", shale_loop_program_name(loop, i));
+  ShaleGeneratorInfo generator = {.struct_size = sizeof(generator)};
+  if (shale_loop_generator_info(loop, &generator, NULL) == SHALE_OK) {
+    printf("program %s makes pictures at %g to %g\n", generator.program, (double)generator.after,
+           (double)generator.until);
+    expect_refusal(shale_loop_generate(loop, generator.until + 1, VK_NULL_HANDLE, &last),
+                   SHALE_BAD_INPUT, "commands: is null");
+  } else {
+    expect_refusal(shale_loop_generator_info(loop, &generator, &last), SHALE_BAD_INPUT,
+                   "no program that generates pictures");
+  }
   for (uint32_t i = 0; i < shale_loop_image_count(loop); ++i) {
     ShaleImageInfo image = {.struct_size = sizeof(image)};
     check(shale_loop_image_info(loop, i, &image, &last));

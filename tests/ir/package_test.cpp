@@ -243,7 +243,7 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.5 is newer than 1.5, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.5 is newer than 1.6, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
   EXPECT_EQ(refusal(bytes), "package version 0.5 does not exist");
 }
@@ -381,6 +381,12 @@ Variant& variant(Package& p) { return p.variants[0]; }
 Resource& resource(Package& p, size_t i) { return p.variants[0].resources[i]; }
 Dispatch& dispatch(Package& p, size_t segment, size_t i) {
   return p.variants[0].segments[segment].dispatches[i];
+}
+/// The second program, which writes what the first one reads.
+void make_generator(Variant& v) {
+  v.chosen_by.clear();
+  v.choices.clear();
+  v.generator = Generator{1, 0, 1};
 }
 template <typename T>
 T number(uint32_t n) {
@@ -538,6 +544,39 @@ const BadPackage kBadPackages[] = {
     {"ChoiceNotFinite",
      [](Package& p) { variant(p).choices[2] = std::numeric_limits<float>::infinity(); },
      "variant 0: inf chooses no program"},
+    {"TimeWithoutGenerator",
+     [](Package& p) { variant(p).params.push_back({"t", false, 1, 20, ParamSource::kTime, {0}}); },
+     "variant 0: parameter \"t\" is for a program that generates, and none does"},
+    {"TimeIsAnInteger",
+     [](Package& p) { variant(p).params.push_back({"t", true, 1, 20, ParamSource::kTime, {0}}); },
+     "variant 0, parameter \"t\": the time must be one float"},
+    {"FramesAreAFloat",
+     [](Package& p) { variant(p).params.push_back({"n", false, 1, 20, ParamSource::kFrames, {0}}); },
+     "variant 0, parameter \"n\": the number of frames must be one integer"},
+    {"GeneratorAmongChoices", [](Package& p) { variant(p).generator = Generator{1, 0, 1}; },
+     "variant 0: a program that generates needs one other beside it, there are 1, chosen by a "
+     "parameter"},
+    {"GeneratorIsNoProgram",
+     [](Package& p) {
+       make_generator(variant(p));
+       variant(p).generator->program = 2;
+     },
+     "variant 0: program 2 generates, there are 2"},
+    {"GeneratesAtNoTime",
+     [](Package& p) {
+       make_generator(variant(p));
+       variant(p).generator->after = 1;
+     },
+     "variant 0: generates at times above 1 up to 1, expected a range in 0 to 2"},
+    {"GeneratesTooFarAhead",
+     [](Package& p) {
+       make_generator(variant(p));
+       variant(p).generator->until = 2.5f;
+     },
+     "variant 0: generates at times above 0 up to 2.5, expected a range in 0 to 2"},
+    {"GeneratorWritesWhatFramesFind", [](Package& p) { make_generator(variant(p)); },
+     "variant 0, dispatch \"conv3\": generates pictures, and writes \"y\", which the next rendered "
+     "frame would find"},
     {"DispatchNameTwice", [](Package& p) { dispatch(p, 1, 1).name = "conv1"; },
      "variant 0, segment 1, dispatch 1: the dispatch name \"conv1\" is taken already"},
     {"NoKernelName", [](Package& p) { dispatch(p, 1, 1).kernel.clear(); },
@@ -680,7 +719,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.5\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.6\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\" (class dot8-gpu), arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",

@@ -1,6 +1,7 @@
 #include <array>
 #include <cstring>
 #include <deque>
+#include <limits>
 
 #include "runtime/datagraph/session.h"
 #include "runtime/frame/frame_loop.h"
@@ -162,6 +163,72 @@ TEST_F(ProgramsTest, AreChosenByAParameter) {
   EXPECT_EQ(recorded(0.6f), "scale");
   EXPECT_EQ(recorded(9.0f), "mix");
   EXPECT_EQ(recorded(-3.0f), "scale");
+}
+
+Package generating(float after, float until) {
+  Package package = small_programs();
+  package.variants[0].generator = Generator{1, after, until};
+  package.variants[0].params = {{"time", false, 1, 0, ParamSource::kTime, {0.5f}},
+                                {"frames", true, 1, 4, ParamSource::kFrames, {0}}};
+  return package;
+}
+
+TEST_F(ProgramsTest, ThatGenerateSurviveAFile) {
+  const Package package = generating(0.25f, 1.5f);
+  const Result<Package> read = read_package(write_package(package));
+  ASSERT_TRUE(read) << read.error().text();
+  EXPECT_EQ(*read, package);
+  const std::string text = dump_package(package);
+  EXPECT_NE(text.find("generates pictures at times above 0.25 up to 1.5"), std::string::npos);
+  EXPECT_NE(text.find("\"frames\" = 0 (frames)"), std::string::npos) << text;
+}
+
+TEST_F(ProgramsTest, APictureLeavesNoTraceInTheFrames) {
+  FrameLoop loop = must(FrameLoop::create(context(), generating(0, 1)));
+  Model model;
+  EXPECT_EQ(loop.next_program(), 0u);
+  for (uint64_t seed = 1; seed <= 7; ++seed) {
+    const std::vector<int8_t> x = random_int8(kSmallBytes, seed);
+    const std::vector<int8_t> expected = model.frame(x);
+    EXPECT_EQ(run_program(loop, "frame", x, "s"), expected);
+    for (uint64_t k = 0; k < seed % 3; ++k)
+      run([&](VkCommandBuffer commands) { must(loop.generate(0.5f, commands)); });
+  }
+}
+
+TEST_F(ProgramsTest, PicturesHaveATimeAndAFrame) {
+  FrameLoop loop = must(FrameLoop::create(context(), generating(0, 1)));
+  run([&](VkCommandBuffer commands) {
+    EXPECT_EQ(error_text(loop.generate(0.5f, commands)),
+              "no frame was rendered since the histories were reset");
+    must(loop.record(commands));
+    EXPECT_EQ(error_text(loop.record("between", commands)),
+              "program \"between\" makes pictures between frames: it needs a time");
+    for (const float time : {0.0f, 1.5f, std::numeric_limits<float>::quiet_NaN()})
+      EXPECT_EQ(error_text(loop.generate(time, commands)),
+                fmt::format("a picture at time {} is asked for, the package takes times above 0 up "
+                            "to 1",
+                            time));
+    must(loop.generate(1.0f, commands));
+    loop.reset_history();
+    EXPECT_EQ(error_text(loop.generate(0.5f, commands)),
+              "no frame was rendered since the histories were reset");
+  });
+  EXPECT_EQ(loop.frame(), 2u);
+  FrameLoop other = must(FrameLoop::create(context(), small_programs()));
+  run([&](VkCommandBuffer commands) {
+    EXPECT_EQ(error_text(other.generate(0.5f, commands)),
+              "the package has no program that generates pictures");
+  });
+}
+
+TEST_F(ProgramsTest, PicturesArePacedEvenly) {
+  const Generator between{1, 0, 1}, ahead{1, 1, 2};
+  EXPECT_TRUE(between.waits());
+  EXPECT_FALSE(ahead.waits());
+  EXPECT_EQ(generated_time(between, 1, 1), 0.5f);
+  EXPECT_EQ(generated_time(between, 3, 3), 0.75f);
+  EXPECT_EQ(generated_time(ahead, 1, 3), 1.25f);
 }
 
 TEST_F(ProgramsTest, LeaveHistoriesToFrameLoops) {

@@ -85,6 +85,59 @@ TEST_F(PlayerTest, LinearResultsOfOneAndTwoChannelsAreMeasured) {
   }
 }
 
+/// A frame shows the number of frames so far, in 1/255; a picture the time, 255 at 2.
+constexpr const char* kGeneratingFrame =
+    R"({"schema": "shale-frame/2", "render": [16, 8], "output": [16, 8],
+ "params": [{"name": "time", "type": "float", "time": true}, {"name": "frames", "type": "int", "frames": true}],
+ "images": [{"name": "color", "role": "input", "format": "rgba8_unorm", "size": "render"},
+  {"name": "motion", "role": "input", "format": "rg16_float", "size": "render"},
+  {"name": "output", "role": "output", "format": "r8_unorm", "size": "output"}],
+ "programs": [{"name": "frame", "passes": [{"name": "count", "shader": "count.comp", "over": "output", "reads": ["color", "motion"], "writes": ["output"]}]},
+  {"name": "between", "generates": [TIMES], "passes": [{"name": "tell", "shader": "tell.comp", "over": "output", "writes": ["output"]}]}]})";
+
+std::string showing(const std::string& value) {
+  return R"(#version 450
+#include "access.glsl"
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+SHALE_PARAMS;
+void main() {
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x < OUTPUT_WIDTH && at.y < OUTPUT_HEIGHT) store_output(at, )" +
+         value + ");\n}\n";
+}
+
+TEST_F(PlayerTest, GeneratedPicturesAreShownInTheirPlace) {
+  const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/motion.json";
+  write("count.comp", showing("float(params.frames) / 255.0 + 0.0 * (fetch_color(at).x + "
+                              "xy_of(fetch_motion(at)).x)"));
+  write("tell.comp", showing("params.time / 2.0"));
+  const auto play = [&](const std::string& times) {
+    std::string text = kGeneratingFrame;
+    write("frame.json", text.replace(text.find("TIMES"), 5, times));
+    fs::remove_all(folder_ / "out");
+    EXPECT_EQ(shale(fmt::format("play . -i {} -o out --frames 3 --generate 1 --animation all.png "
+                                "--validation",
+                                scene)),
+              0)
+        << said();
+    std::vector<int> shown;
+    for (int i = 0; fs::exists(folder_ / "out" / fmt::format("{:04}.png", i)); ++i)
+      shown.push_back(
+          load_picture((folder_ / "out" / fmt::format("{:04}.png", i)).string())->at(3, 3)[0]);
+    return shown;
+  };
+  // Between: the newest frame waits, and there is nothing before the first. Ahead: behind each frame.
+  EXPECT_EQ(play("0, 1"), (std::vector{1, 64, 2, 64, 3}));
+  EXPECT_EQ(play("1, 2"), (std::vector{1, 191, 2, 191, 3, 191}));
+  EXPECT_EQ(shale("play . -i in.ppm -o out.png --generate 1"), 1);
+  EXPECT_NE(said().find("single pictures have no motion"), std::string::npos) << said();
+  EXPECT_EQ(shale(fmt::format("play . -i {} -o out --frames 2 --generate 3 --json", scene)), 0);
+  EXPECT_NE(said().find("\"generated_at\": 1.75"), std::string::npos) << said();
+  write_sandwich("rgba8_unorm", "r8_unorm", "zero + 0.25");
+  EXPECT_EQ(shale(fmt::format("play . -i {} -o out --frames 2 --generate 1", scene)), 1);
+  EXPECT_NE(said().find("has no program that generates pictures"), std::string::npos) << said();
+}
+
 TEST_F(PlayerTest, OneOfTwoDisplaysIsRefused) {
   write_sandwich("rgba16_float", "r8_unorm", "zero + 0.25");
   EXPECT_EQ(shale("play . -i in.ppm -o out.png"), 1);

@@ -150,6 +150,26 @@ void put_part(Json& json, const char* key, const PartMetrics& part) {
 
 }  // namespace
 
+namespace {
+
+Json generated_json(const GeneratedMetrics& means) {
+  Json json{{"frames", means.frames}};
+  put(json, "psnr_db", means.psnr_db);
+  put(json, "ssim", means.ssim);
+  put(json, "flip", means.flip);
+  put(json, "judder_db", means.judder_db);
+  put(json, "time_ms", means.time_ms);
+  json["latency_frames"] = means.latency_frames;
+  for (size_t k = 0; k < kPixelKinds; ++k) {
+    Json& kind = json["pixels"][pixel_kind_name(static_cast<PixelKind>(k))];
+    kind["share"] = means.kinds[k].share;
+    put(kind, "psnr_db", means.kinds[k].psnr_db);
+  }
+  return json;
+}
+
+}  // namespace
+
 Json sequence_json(const SequenceMetrics& means) {
   Json json{{"frames", means.frames}};
   put(json, "psnr_db", means.psnr_db);
@@ -219,6 +239,18 @@ const std::vector<Column>& columns() {
       {"SSIM later", "higher", Json::json_pointer("/later_frames/ssim"), 4, 1},
       {"FLIP first 10", "lower", Json::json_pointer("/first_frames/flip"), 4, -1},
       {"FLIP later", "lower", Json::json_pointer("/later_frames/flip"), 4, -1},
+      {"generated PSNR", "dB, higher", Json::json_pointer("/generated/psnr_db"), 2, 1},
+      {"generated SSIM", "higher", Json::json_pointer("/generated/ssim"), 4, 1},
+      {"generated FLIP", "lower", Json::json_pointer("/generated/flip"), 4, -1},
+      {"judder", "dB, lower", Json::json_pointer("/generated/judder_db"), 2, -1},
+      {"seen in all", "dB, higher", Json::json_pointer("/generated/pixels/seen_in_all/psnr_db"), 2,
+       1},
+      {"in some", "dB, higher", Json::json_pointer("/generated/pixels/seen_in_some/psnr_db"), 2, 1},
+      {"in none", "dB, higher", Json::json_pointer("/generated/pixels/seen_in_none/psnr_db"), 2, 1},
+      {"border", "dB, higher", Json::json_pointer("/generated/pixels/border/psnr_db"), 2, 1},
+      {"moving", "dB, higher", Json::json_pointer("/generated/pixels/moving/psnr_db"), 2, 1},
+      {"motionless", "dB, higher", Json::json_pointer("/generated/pixels/motionless/psnr_db"), 2,
+       1},
   };
   return kColumns;
 }
@@ -581,6 +613,8 @@ Json report_json(const EvalReport& report) {
       Json method{{"method", report.methods[m]},
                   {"means", sequence_json(scene.methods[m].means)},
                   {"frames", Json::array()}};
+      if (scene.methods[m].generated)
+        method["means"]["generated"] = generated_json(*scene.methods[m].generated);
       for (const FrameResult& frame : scene.methods[m].frames) {
         Json one = metrics_json(frame.metrics);
         put(one, "time_ms", frame.time_ms);

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "tools/eval/generated.h"
 #include "tools/eval/sequence.h"
 #include "tools/shale/picture.h"
 
@@ -38,6 +39,7 @@ struct FrameResult {
 struct MethodResult {
   std::vector<FrameResult> frames;
   SequenceMetrics means;
+  std::optional<GeneratedMetrics> generated;  ///< of the pictures that no frame was rendered for
 };
 
 struct EvalScene {

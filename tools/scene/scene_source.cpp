@@ -54,6 +54,16 @@ Result<std::pair<uint32_t, uint32_t>> render_pixels(const char* side, uint32_t f
   return std::pair{at(first), at(count)};
 }
 
+/// Pixels of the window at output size.
+SampleGrid output_grid(const Window& window, uint32_t samples) {
+  SampleGrid grid;
+  grid.extent = window.size;
+  grid.origin_x = window.x;
+  grid.origin_y = window.y;
+  grid.samples = samples;
+  return grid;
+}
+
 }  // namespace
 
 double frame_step(const Scene& scene, double frame_rate) {
@@ -199,16 +209,55 @@ Result<SourceFrame> SceneSource::frame(uint32_t index, bool with_truth) {
   frame.depth = std::move(render.depth);
   frame.motion = std::move(render.motion);
   if (!with_truth) return frame;
-  SampleGrid truth;
-  truth.extent = window_.size;
-  truth.origin_x = window_.x;
-  truth.origin_y = window_.y;
-  truth.samples = kTruthSamples;
-  SHALE_TRY(render, renderer_->render(truth, options_.keep_going));
+  SHALE_TRY(render, renderer_->render(output_grid(window_, kTruthSamples), options_.keep_going));
   frame.truth = std::move(render.color);
   frame.truth_depth = std::move(render.depth);
   frame.truth_motion = std::move(render.motion);
   return frame;
+}
+
+Result<RenderedImages> SceneSource::render_output(const Scene& scene, const FramePoses& poses,
+                                                  uint32_t samples) {
+  SHALE_TRY(const FrameTables tables,
+            frame_tables(scene, poses, window_, reverse_, renderer_->max_texels()));
+  SHALE_TRY_VOID(renderer_->set_frame(tables));
+  return renderer_->render(output_grid(window_, samples), options_.keep_going);
+}
+
+Result<SceneMoment> SceneSource::moment(uint32_t index, double after, std::span<const double> to,
+                                        bool with_truth) {
+  if (index >= frames_ || !(after >= 0 && index + after <= frames_ - 1))
+    return bad_input(scene_.name, "the moment {} is asked for, the sequence has {} frames",
+                     index + after, frames_);
+  const double step = frame_step(scene_, options_.frame_rate);
+  const double scene_frame = (first_frame_ + index + after) * step;
+  const auto poses_to = [&](double other) {
+    return frame_poses(scene_, scene_frame, other != after, (after - other) * step);
+  };
+  SceneMoment moment;
+  for (const double other : to) {
+    SHALE_TRY(RenderedImages images, render_output(scene_, poses_to(other), 1));
+    moment.motion.push_back(std::move(images.motion));
+    moment.depth = std::move(images.depth);
+  }
+  const FramePoses poses = frame_poses(scene_, scene_frame, false, step);
+  moment.camera = camera(first_frame_ + index, poses);
+  if (!with_truth) return moment;
+  if (!to.empty()) {
+    FramePoses still = poses_to(to[0]);
+    still.nodes_was = still.nodes;
+    SHALE_TRY(RenderedImages images, render_output(scene_, still, 1));
+    moment.still_motion = std::move(images.motion);
+  }
+  SHALE_TRY(RenderedImages images, render_output(scene_, poses, kTruthSamples));
+  moment.truth = std::move(images.color);
+  if (scene_.emitters.empty() && scene_.overlays.empty()) return moment;
+  Scene bare = scene_;
+  bare.emitters.clear();
+  bare.overlays.clear();
+  SHALE_TRY(images, render_output(bare, poses, kTruthSamples));
+  moment.bare = std::move(images.color);
+  return moment;
 }
 
 }  // namespace shale

@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <optional>
+#include <span>
 
 #include "ir/base/sampling_pattern.h"
 #include "runtime/vk/device.h"
@@ -50,6 +51,17 @@ Result<void> check_pattern(const SamplingPattern& pattern, Extent render, Extent
 double frame_step(const Scene& scene, double frame_rate);
 uint32_t frames_at_rate(const Scene& scene, double frame_rate);
 
+/// A moment between frames of a sequence, at output size, and where in frames that lies which is seen then.
+struct SceneMoment {
+  FrameCamera camera;
+  FloatImage truth;  ///< RGB; as all others empty if not asked for
+  FloatImage bare;   ///< the same without particles and overlays; empty if the scene has none
+  FloatImage depth;  ///< 1 channel, of the samples in the middles of pixels, as motion
+  /// 2 channels, by moment asked for: what is at uv lies at uv - motion then.
+  std::vector<FloatImage> motion;
+  FloatImage still_motion;  ///< as motion[0] if nothing but the camera moved
+};
+
 class SceneSource : public FrameSource {
  public:
   /// `context` must outlive the source.
@@ -63,6 +75,12 @@ class SceneSource : public FrameSource {
   Extent output_size() const override { return window_.size; }
   Result<SourceFrame> frame(uint32_t index, bool with_truth) override;
 
+  /// What is seen `after` frames behind frame `index`; motion to the moments that lie `to` frames behind it. Everything moves
+  /// as in the frames; random things are those of the frames, too.
+  /// Errors: as frame(); kBadInput for a moment behind the last frame.
+  Result<SceneMoment> moment(uint32_t index, double after, std::span<const double> to,
+                             bool with_truth);
+
   /// Makes another clip of the same scene the sequence; the pipelines are kept.
   /// Errors: kBadInput, and the clip is the one before.
   Result<void> set_clip(const SceneClip& clip);
@@ -73,6 +91,9 @@ class SceneSource : public FrameSource {
   SceneSource(Scene scene, SceneOptions options)
       : scene_(std::move(scene)), options_(std::move(options)) {}
   FrameCamera camera(uint32_t number, const FramePoses& poses) const;
+  /// Renders at output size, `samples` along each side of a pixel.
+  Result<RenderedImages> render_output(const Scene& scene, const FramePoses& poses,
+                                       uint32_t samples);
 
   Scene scene_;
   SceneOptions options_;

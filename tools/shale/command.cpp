@@ -79,7 +79,12 @@ Result<ModelFiles> load_model(const std::string& path, const std::string& frame_
     model.path = frame;
     return model;
   }
-  SHALE_TRY(model.path, model_file(path, precision));
+  // A frame around the network of another folder names it.
+  std::string folder = path;
+  if (model.frame && is_folder && frame_path.empty() &&
+      !fs::exists(fs::path(path) / "model.tosa", ignored))
+    folder = (fs::path(path) / fs::path(graph_files(*model.frame)[0]).parent_path()).string();
+  SHALE_TRY(model.path, model_file(folder, precision));
   SHALE_TRY(model.bytes, read_file(model.path));
   return model;
 }

@@ -16,7 +16,8 @@ namespace fs = std::filesystem;
 struct Arguments {
   std::vector<std::string> inputs, methods, pictures;
   std::string page, json_file;
-  uint32_t shown = 1;
+  uint32_t shown = 1, generate = 0;
+  std::vector<double> at;
   SourceArguments source;
   CompileArguments compile;
   DeviceArguments device;
@@ -92,6 +93,17 @@ Result<void> add_pictures(const Arguments& arguments, const std::string& scene,
   return {};
 }
 
+/// Times of generated pictures, in frames behind each frame; empty if none are asked for.
+Result<std::vector<double>> generated_times(const Arguments& arguments) {
+  std::vector<double> times = arguments.at;
+  for (uint32_t k = 1; k <= arguments.generate; ++k)
+    times.push_back(static_cast<double>(k) / (arguments.generate + 1));
+  for (size_t i = 0; i < times.size(); ++i)
+    if (!(times[i] > (i > 0 ? times[i - 1] : 0) && times[i] <= 1))
+      return bad_input("--at", "{} is none of ascending times above 0 up to 1", times[i]);
+  return times;
+}
+
 void print_table(const EvalReport& report) {
   size_t wide = 8;
   for (const std::string& method : report.methods) wide = std::max(wide, method.size());
@@ -100,6 +112,11 @@ void print_table(const EvalReport& report) {
   };
   for (const EvalScene& scene : report.scenes) {
     fmt::print("{}: {} frames, {}\n", scene.name, scene.frames, scene.size);
+    if (scene.methods[0].generated) {
+      print_generated(report.methods, scene);
+      for (const std::string& note : scene.notes) fmt::print("  {}\n", note);
+      continue;
+    }
     fmt::print("  {:<{}} {:>9} {:>8} {:>8} {:>8} {:>8} {:>9}\n", "", wide, "PSNR dB", "SSIM",
                "FLIP", "IF-SSIM", "still", "ms");
     for (size_t m = 0; m < report.methods.size(); ++m) {
@@ -122,6 +139,7 @@ void print_table(const EvalReport& report) {
 Result<int> eval(const Arguments& arguments) {
   if (arguments.methods.empty() && arguments.pictures.empty())
     return bad_input("", "expected a --method or --pictures");
+  SHALE_TRY(const std::vector<double> times, generated_times(arguments));
   Outputs outputs;
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
@@ -133,6 +151,7 @@ Result<int> eval(const Arguments& arguments) {
     Methods methods(arguments, device);
     for (const std::string& input : arguments.inputs) {
       std::unique_ptr<FrameSource> source;
+      SceneSource* scene_source = nullptr;
       switch (source_kind(input)) {
         case SourceKind::kPictures:
           return bad_input(input,
@@ -146,8 +165,11 @@ Result<int> eval(const Arguments& arguments) {
         case SourceKind::kScene: {
           SHALE_TRY(const Sandwich first, methods.first(input));
           SHALE_TRY(const auto sizes, sandwich_sizes(first.package.variants.front()));
-          SHALE_TRY(source, open_scene(input, arguments.source, device, sizes.first, sizes.second,
-                                       first.pattern));
+          SHALE_TRY(std::unique_ptr<SceneSource> opened,
+                    open_scene(input, arguments.source, device, sizes.first, sizes.second,
+                               first.pattern));
+          scene_source = opened.get();
+          source = std::move(opened);
         }
       }
       SHALE_TRY(std::vector<PlayedMethod>* const ready,
@@ -155,11 +177,14 @@ Result<int> eval(const Arguments& arguments) {
       SHALE_TRY_VOID(add_pictures(arguments, source->name(), *ready));
       report.methods.clear();
       for (const PlayedMethod& method : *ready) report.methods.push_back(method.name);
+      const EvaluateOptions options{.first_frame = arguments.source.first,
+                                    .timed = !arguments.no_time,
+                                    .shown = arguments.page.empty() ? 0 : arguments.shown};
+      if (!times.empty() && !scene_source)
+        return bad_input(input, "is no scene: the truth of generated pictures has to be rendered");
       Result<EvalScene> scene =
-          evaluate_scene(*source, *ready,
-                         {.first_frame = arguments.source.first,
-                          .timed = !arguments.no_time,
-                          .shown = arguments.page.empty() ? 0 : arguments.shown});
+          times.empty() ? evaluate_scene(*source, *ready, options)
+                        : evaluate_generated(*scene_source, *ready, times, options, report.methods);
       if (!scene) return in_file(input, scene.error());
       report.scenes.push_back(*std::move(scene));
     }
@@ -196,6 +221,15 @@ Action add_eval(CLI::App& app) {
   app.add_option("--shown", arguments->shown,
                  "frames of each scene whose pictures go into the page")
       ->check(CLI::Range(1u, 16u));
+  CLI::Option* generate = app.add_option(
+      "--generate", arguments->generate,
+      "judge so many pictures that the methods make for each frame of scenes, which are rendered "
+      "more often for their truth; with render and output size equal the frames are the truth");
+  generate->check(CLI::Range(1u, 15u));
+  app.add_option("--at", arguments->at,
+                 "the same at these times, in frames behind each frame: 0.5, or 1 in place of it")
+      ->delimiter(',')
+      ->excludes(generate);
   app.add_flag("--no-time", arguments->no_time, "measure no times");
   arguments->source.add_to(app);
   arguments->compile.add_to(app, &arguments->device);
@@ -204,6 +238,8 @@ Action add_eval(CLI::App& app) {
   app.footer(
       "Example: shale eval models/scenes/test/thin.json -m models/nss_v1_high -m "
       "models/baselines/mob_fgsr --frames 16 --page report.html\n"
+      "Example: shale eval models/scenes/test/motion.json --generate 1 --render 480x270 -m "
+      "models/baselines/mob_fgsr_interpolation -m models/baselines/mob_fgsr_extrapolation\n"
       "Example: shale eval thin -m models/nss_v1_high --pictures other=frames");
   return [arguments] { return eval(*arguments); };
 }

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "tools/eval/html_report.h"
+#include "tools/scene/scene_source.h"
 #include "tools/shale/player.h"
 
 namespace shale {
@@ -28,6 +29,19 @@ struct EvaluateOptions {
 /// player, with the method's name, and of pictures, with theirs.
 Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>& methods,
                                  const EvaluateOptions& options);
+
+/// Plays a scene's frames through methods that generate, and judges what they show at `times` behind each frame (above 0 up to
+/// 1 frame, ascending) and the frames themselves (none where the last time is 1). Where render and output size are equal, the
+/// frames are the truth, so that generation alone is judged. Behind the methods the report has what the truth's own motion
+/// makes of true frames, between them and ahead, as far as a method does the same: a bound for all that only warps.
+/// `names` become those of the report. A picture before a cut is left out.
+/// Errors: as evaluate_scene; kBadInput for a method without such a program, and for pictures.
+Result<EvalScene> evaluate_generated(SceneSource& source, std::vector<PlayedMethod>& methods,
+                                     std::span<const double> times, const EvaluateOptions& options,
+                                     std::vector<std::string>& names);
+
+/// The figures of generated pictures as a table on standard output.
+void print_generated(const std::vector<std::string>& methods, const EvalScene& scene);
 
 /// The next frame of a reference as a display shows it; the rest of the truth, where it is known, and the camera are the
 /// frame's. `previous` is the camera of the frame before, and becomes this one's.

@@ -1,15 +1,12 @@
 // shale play: pictures, scenes or captured frames through a sandwich, on the device.
 #include <algorithm>
-#include <charconv>
 #include <filesystem>
-#include <limits>
-#include <sstream>
 
 #include "ir/base/file.h"
-#include "runtime/frame/budget.h"
 #include "tools/eval/tonemap.h"
 #include "tools/scene/exr.h"
 #include "tools/shale/animation.h"
+#include "tools/shale/choices.h"
 #include "tools/shale/command.h"
 #include "tools/shale/npy.h"
 #include "tools/shale/outputs.h"
@@ -23,15 +20,13 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
-constexpr int kMeasured = 8;            ///< frames that tell what a choice of --budget costs
+constexpr uint32_t kFrameRate = 30;     ///< of frames that are not generated, in an animation
 
 struct Arguments {
   std::string model, input, output, format, compare, reference, animation, debug_view, dump;
-  std::string load;
-  std::vector<std::string> others;
   std::vector<uint32_t> crop;
-  uint32_t zoom = 4, repeat = 0;
-  double budget_ms = 0, shown_rate = 60;
+  uint32_t zoom = 4, repeat = 0, generate = 0;
+  BudgetArguments budget;
   SourceArguments source;
   CompileArguments compile;
   DeviceArguments device;
@@ -139,8 +134,7 @@ Result<Json> psnr_against(const std::string& path, const Picture& input, const P
               {"result", psnr_db(result, reference)}};
 }
 
-void print(const Json& json, const std::vector<DispatchTime>& median, size_t measured,
-           std::FILE* to) {
+void print_frames(const Json& json, std::FILE* to) {
   for (const Json& frame : json["frames"]) {
     const std::string timed =
         frame.contains("model") ? fmt::format(", {:.1f} ms by {}", frame["frame_ms"].get<double>(),
@@ -159,7 +153,9 @@ void print(const Json& json, const std::vector<DispatchTime>& median, size_t mea
     fmt::print(to, "  {:.1f} % of {} frames within {} ms, {} switches\n",
                100 * json["budget"]["within"].get<double>(), json["budget"]["frames"].get<size_t>(),
                json["budget"]["budget_ms"].get<double>(), json["budget"]["switches"].get<size_t>());
-  if (median.empty()) return;
+}
+
+void print_times(const Json& json, const char* what, size_t measured, std::FILE* to) {
   for (const Json& time : json["dispatches"])
     fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {:<14} {:<20} {}\n", time["time_us"].get<double>(),
                100 * time["share"].get<double>(), time["segment"].get<std::string>(),
@@ -167,7 +163,7 @@ void print(const Json& json, const std::vector<DispatchTime>& median, size_t mea
   for (const Json& time : json["segments"])
     fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {}\n", time["time_us"].get<double>(),
                100 * time["share"].get<double>(), time["segment"].get<std::string>());
-  fmt::print(to, "  {:>10.1f} us a frame, median of {}\n", json["frame_us"].get<double>(),
+  fmt::print(to, "  {:>10.1f} us a {}, median of {}\n", json["frame_us"].get<double>(), what,
              measured);
 }
 
@@ -192,128 +188,28 @@ void add_times(Json& json, const std::vector<DispatchTime>& median) {
   for (Json& segment : json["segments"]) segment["share"] = share(segment["time_us"].get<double>());
 }
 
-double total_ms(const std::vector<DispatchTime>& times) {
-  double us = 0;
-  for (const DispatchTime& time : times) us += time.time_us;
-  return us / 1000;
-}
-
-/// The sandwiches that a budget chooses from, the best one first; without a budget there is one.
-class Choices {
- public:
-  static Result<Choices> create(const Arguments& arguments, const ToolDevice& device,
-                                const Sandwich& first, const CompileArguments& compile) {
-    Choices choices(arguments);
-    SHALE_TRY_VOID(choices.add(device, arguments.model, first));
-    const Player& best = *choices.players_[0];
-    for (const std::string& path : arguments.others) {
-      CompileArguments sized = compile;
-      sized.ratio = 0;
-      SHALE_TRY(const Sandwich other,
-                load_sandwich(path, sized, best.render_size(), best.output_size()));
-      SHALE_TRY_VOID(choices.add(device, path, other));
-      const Player& player = *choices.players_.back();
-      if (player.render_size() != best.render_size() ||
-          player.output_size() != best.output_size() || player.is_display() != best.is_display())
-        return bad_input(path, "takes or makes other pictures than {}", arguments.model);
-    }
-    if (!arguments.load.empty()) SHALE_TRY_VOID(choices.read_load());
-    return choices;
-  }
-
-  /// What each costs, by a frame that leaves no trace.
-  Result<void> measure(const SourceFrame& frame) {
-    if (arguments_.budget_ms == 0) return {};
-    std::vector<double> costs;
-    for (const std::unique_ptr<Player>& player : players_) {
-      SHALE_TRY_VOID(player->warm_up(frame));
-      // The least of several: other work on the machine only ever adds.
-      double least = std::numeric_limits<double>::infinity();
-      for (int i = 0; i < kMeasured; ++i) {
-        std::vector<DispatchTime> times;
-        SHALE_TRY_VOID(player->play(frame, &times));
-        least = std::min(least, total_ms(times));
-      }
-      player->reset();
-      costs.push_back(least);
-    }
-    Result<FrameBudget> budget = FrameBudget::create(
-        costs, {.budget_ms = arguments_.budget_ms, .frame_seconds = 1 / arguments_.shown_rate});
-    if (!budget)
-      return bad_input("--or", "{}; the times are those of the first frame, in the order given",
-                       budget.error().text());
-    budget_ = *std::move(budget);
-    return {};
-  }
-
-  /// Of the next frame. One that comes anew starts without a past.
-  Player& next() {
-    const size_t choice = budget_ ? budget_->choice() : 0;
-    if (choice != now_) {
-      players_[choice]->reset();
-      ++switches_;
-    }
-    now_ = choice;
-    return *players_[choice];
-  }
-
-  /// The time of the frame that next() played.
-  void add(const std::vector<DispatchTime>& times, Json& entry) {
-    if (!budget_) return;
-    const double load = load_.empty() ? 1 : load_[frames_ % load_.size()],
-                 ms = total_ms(times) * load;
-    budget_->add(ms);
-    within_ += ms <= arguments_.budget_ms ? 1 : 0;
-    ++frames_;
-    entry.update({{"model", paths_[now_]}, {"frame_ms", ms}, {"load", load}});
-  }
-
-  Json summary() const {
-    return {{"budget_ms", arguments_.budget_ms},
-            {"frames", frames_},
-            {"within",
-             static_cast<double>(within_) / static_cast<double>(std::max<size_t>(frames_, 1))},
-            {"switches", switches_}};
-  }
-
- private:
-  explicit Choices(const Arguments& arguments) : arguments_(arguments) {}
-
-  Result<void> add(const ToolDevice& device, const std::string& path, const Sandwich& sandwich) {
-    SHALE_TRY(players_.emplace_back(), Player::create(device, sandwich.package));
-    paths_.push_back(path);
-    return {};
-  }
-
-  /// A factor a line.
-  Result<void> read_load() {
-    SHALE_TRY(const std::string text, read_text(arguments_.load));
-    std::istringstream lines(text);
-    size_t number = 0;
-    for (std::string line; std::getline(lines, line);) {
-      ++number;
-      double factor = 0;
-      const auto [end, status] = std::from_chars(line.data(), line.data() + line.size(), factor);
-      if (status != std::errc() || end != line.data() + line.size() ||
-          !(factor > 0 && factor <= 1000))
-        return bad_input(arguments_.load,
-                         "line {} is \"{}\", expected a factor of more than 0, up to 1000", number,
-                         one_line(line.substr(0, 40)));
-      load_.push_back(factor);
-    }
-    if (load_.empty()) return bad_input(arguments_.load, "is empty, expected a factor a line");
-    return {};
-  }
-
-  const Arguments& arguments_;
-  std::vector<std::string> paths_;
-  std::vector<std::unique_ptr<Player>> players_;
-  std::optional<FrameBudget> budget_;
-  std::vector<double> load_;
-  size_t now_ = 0, frames_ = 0, within_ = 0, switches_ = 0;
+/// A picture as it is shown: a frame, or what is generated once that frame is there.
+struct Shown {
+  uint32_t frame = 0;
+  std::optional<float> time{};
 };
 
-/// Where the results go: by frame, and claimed before the first is played.
+/// In the order in which they are shown, `count` pictures beside each frame. Nothing lies before the
+/// first frame.
+std::vector<Shown> shown_pictures(uint32_t frames, const std::optional<Generator>& generator,
+                                  uint32_t count) {
+  std::vector<Shown> shown;
+  for (uint32_t i = 0; i < frames; ++i) {
+    const bool waits = generator && generator->waits();
+    if (!waits) shown.push_back({i});
+    for (uint32_t k = 1; k <= count && (i > 0 || !waits); ++k)
+      shown.push_back({i, generated_time(*generator, k, count)});
+    if (waits) shown.push_back({i});
+  }
+  return shown;
+}
+
+/// Where the results go: by shown picture, and claimed before the first is played.
 struct Paths {
   std::vector<std::string> results, views;  ///< views: empty without --debug-view
 };
@@ -323,7 +219,8 @@ bool writes_exr(const Arguments& arguments) {
                                   : arguments.format == "exr";
 }
 
-Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind) {
+Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind,
+                          const std::vector<Shown>& shown) {
   const bool is_pictures = kind == SourceKind::kPictures;
   std::error_code ignored;
   const bool to_folder = !is_pictures || source.frame_count() > 1 ||
@@ -339,9 +236,10 @@ Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, Sourc
                        : fmt::format("{} frame {}", arguments.input, i);
   };
   for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep(label(i));
-  for (uint32_t i = 0; i < source.frame_count(); ++i) {
+  for (size_t s = 0; s < shown.size(); ++s) {
+    const uint32_t i = shown[s].frame;
     const std::string name =
-        is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", i);
+        is_pictures ? fs::path(label(i)).stem().string() : fmt::format("{:04}", s);
     const bool is_exr = writes_exr(arguments);
     paths.results.push_back(
         to_folder ? (fs::path(arguments.output) / (name + (is_exr ? ".exr" : ".png"))).string()
@@ -390,14 +288,22 @@ Result<int> play(const Arguments& arguments) {
   }
   if (arguments.check && sandwich.graphs.empty())
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);
-  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind));
+  const std::optional<Generator>& generator = sandwich.package.variants.front().generator;
+  if (arguments.generate > 0 && (!generator || !is_sequence))
+    return bad_input("--generate", "{}",
+                     is_sequence ? arguments.model + " has no program that generates pictures"
+                                 : "single pictures have no motion; expected a scene or a dataset");
+  const std::vector<Shown> shown =
+      shown_pictures(source->frame_count(), generator, arguments.generate);
+  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind, shown));
 
-  std::vector<std::vector<DispatchTime>> measured;
-  std::vector<PngPicture> shown;
+  std::vector<std::vector<DispatchTime>> measured, measured_generated;
+  std::vector<PngPicture> animation(arguments.animation.empty() ? 0 : shown.size());
   Json json{{"device", device.context().caps.name}, {"frames", Json::array()}};
   int exit = kDone;
   {
-    SHALE_TRY(Choices choices, Choices::create(arguments, device, sandwich, compile));
+    SHALE_TRY(Choices choices,
+              Choices::create(arguments.budget, device, arguments.model, sandwich, compile));
     Player* player = &choices.next();
     const bool to_exr = writes_exr(arguments);
     if (to_exr && player->is_display())
@@ -412,38 +318,52 @@ Result<int> play(const Arguments& arguments) {
       SHALE_TRY(SourceFrame frame, source->frame(i, false));
       if (i == 0 && arguments.profile)
         if (Result<void> warm = player->warm_up(frame); !warm) return in_file(label, warm.error());
-      if (i == 0)
-        if (Result<void> costs = choices.measure(frame); !costs) return costs.error();
+      if (i == 0) SHALE_TRY_VOID(choices.measure(frame));
       player = &choices.next();
       std::vector<DispatchTime> times;
       std::vector<DispatchTime>* const wanted =
-          arguments.profile || arguments.budget_ms > 0 ? &times : nullptr;
+          arguments.profile || choices.has_budget() ? &times : nullptr;
       Result<FloatImage> played =
           is_sequence && !to_exr ? player->show(frame, wanted) : player->play(frame, wanted);
       if (!played) return in_file(label, played.error());
       Json timed = Json::object();
       choices.add(times, timed);
       if (arguments.profile) measured.push_back(std::move(times));
-      const std::string& output = paths.results[i];
-      if (to_exr) {
-        SHALE_TRY_VOID(write_exr(output, *played, ExrPrecision::kHalf));
-        *played = display_image(*played, frame.camera.exposure);
-      }
-      const Picture result = to_picture(*played);
-      if (!to_exr) SHALE_TRY_VOID(save_png(output, result));
-      Json entry{
-          {"input", label}, {"output", output}, {"width", result.width}, {"height", result.height}};
-      entry.update(timed);
-      if (!arguments.animation.empty()) shown.push_back(encode_png(result));
-      if (!arguments.debug_view.empty()) {
+      /// Writes a picture in its place among the shown ones; gives it back as it is shown.
+      const auto write = [&](size_t at, FloatImage picture) -> Result<Picture> {
+        if (to_exr) {
+          SHALE_TRY_VOID(write_exr(paths.results[at], picture, ExrPrecision::kHalf));
+          picture = display_image(picture, frame.camera.exposure);
+        }
+        Picture result = to_picture(picture);
+        if (!to_exr) SHALE_TRY_VOID(save_png(paths.results[at], result));
+        if (!arguments.animation.empty()) animation[at] = encode_png(result);
+        if (arguments.debug_view.empty()) return result;
         SHALE_TRY(std::vector<Panel> panels, player->views());
         panels.push_back({"result", result});
         for (Panel& panel : panels)
           panel.picture = upscale_nearest(
               panel.picture, kMosaicWidth,
               std::max(1u, kMosaicWidth * panel.picture.height / panel.picture.width));
-        SHALE_TRY_VOID(save_png(paths.views[i], side_by_side(panels, 4)));
-      }
+        SHALE_TRY_VOID(save_png(paths.views[at], side_by_side(panels, 4)));
+        return result;
+      };
+      const auto entry_of = [&](size_t at, const Picture& result) {
+        return Json{{"input", label},
+                    {"output", paths.results[at]},
+                    {"width", result.width},
+                    {"height", result.height}};
+      };
+      const auto at = [&](std::optional<float> time) {
+        return static_cast<size_t>(
+            std::find_if(shown.begin(), shown.end(),
+                         [&](const Shown& each) { return each.frame == i && each.time == time; }) -
+            shown.begin());
+      };
+      const size_t rendered_at = at({});
+      SHALE_TRY(const Picture result, write(rendered_at, *std::move(played)));
+      Json entry = entry_of(rendered_at, result);
+      entry.update(timed);
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
         SHALE_TRY(const std::optional<std::string> difference,
@@ -464,25 +384,52 @@ Result<int> play(const Arguments& arguments) {
         }
       }
       json["frames"].push_back(std::move(entry));
+      for (const Shown& each : shown) {
+        if (each.frame != i || !each.time) continue;
+        std::vector<DispatchTime>* const generated_times =
+            arguments.profile ? &measured_generated.emplace_back() : nullptr;
+        Result<FloatImage> generated = to_exr ? player->generate(*each.time, generated_times)
+                                              : player->show_generated(*each.time, generated_times);
+        if (!generated) return in_file(label, generated.error());
+        SHALE_TRY(const Picture picture, write(at(each.time), *std::move(generated)));
+        Json generated_entry = entry_of(at(each.time), picture);
+        generated_entry["generated_at"] = *each.time;
+        json["frames"].push_back(std::move(generated_entry));
+      }
     }
     if (arguments.repeat > 0) measured.clear();
     for (uint32_t i = 0; i < arguments.repeat; ++i) {
       if (!progress.step(i, arguments.repeat)) return bad_input("", "interrupted");
       SHALE_TRY_VOID(player->run(&measured.emplace_back()));
     }
-    if (arguments.budget_ms > 0) json["budget"] = choices.summary();
+    if (arguments.repeat > 0 && arguments.generate > 0) measured_generated.clear();
+    for (uint32_t i = 0; arguments.generate > 0 && i < arguments.repeat; ++i) {
+      if (!progress.step(i, arguments.repeat)) return bad_input("", "interrupted");
+      SHALE_TRY(const FloatImage ignored,
+                player->generate(generated_time(*generator, 1, arguments.generate),
+                                 &measured_generated.emplace_back()));
+    }
+    if (choices.has_budget()) json["budget"] = choices.summary();
   }
   source.reset();  // before the device
   SHALE_TRY_VOID(device.close());
   if (!arguments.animation.empty()) {
-    SHALE_TRY_VOID(save_animation(arguments.animation, shown, 30));
+    SHALE_TRY_VOID(save_animation(arguments.animation, animation,
+                                  static_cast<uint16_t>(kFrameRate * (arguments.generate + 1))));
   }
-  const std::vector<DispatchTime> median = median_times(measured);
+  const std::vector<DispatchTime> median = median_times(measured),
+                                  median_generated = median_times(measured_generated);
   if (!median.empty()) add_times(json, median);
-  if (arguments.json)
+  if (!median_generated.empty()) add_times(json["generated"], median_generated);
+  if (arguments.json) {
     print_json(json);
-  else
-    print(json, median, measured.size(), summary_stream(arguments.output));
+    return exit;
+  }
+  std::FILE* const to = summary_stream(arguments.output);
+  print_frames(json, to);
+  if (!median.empty()) print_times(json, "frame", measured.size(), to);
+  if (!median_generated.empty())
+    print_times(json["generated"], "generated picture", measured_generated.size(), to);
   return exit;
 }
 
@@ -505,6 +452,11 @@ Action add_play(CLI::App& app) {
          "png, as a display shows it, or exr: linear, halves (default: as the suffix, else png)")
       ->check(CLI::IsMember({"png", "exr"}));
   arguments->source.add_to(app);
+  CLI::Option* generate =
+      app.add_option("--generate", arguments->generate,
+                     "pictures to make between rendered frames, or beyond each, by the sandwich's "
+                     "program for that; shown in between")
+          ->check(CLI::Range(1u, 15u));
   app.add_option("--animation", arguments->animation, "also write all frames as animated PNG");
   app.add_option("--debug-view", arguments->debug_view,
                  "folder for a mosaic of the intermediate images of each frame");
@@ -527,24 +479,7 @@ Action add_play(CLI::App& app) {
                  "print the times of so many runs of the last frame, one after the other")
       ->check(CLI::Range(1, 10000))
       ->needs(profile);
-  CLI::Option* budget =
-      app.add_option(
-             "--budget", arguments->budget_ms,
-             "milliseconds a frame may take: cheaper sandwiches step in where it does not hold")
-          ->check(number_in(1e-3, 1e6))
-          ->excludes(profile)
-          ->excludes(check);
-  app.add_option("--or", arguments->others,
-                 "a cheaper sandwich for --budget (again for more, the cheapest last)")
-      ->needs(budget);
-  app.add_option(
-         "--load", arguments->load,
-         "recorded load for --budget: a file with a factor on times for each frame, a line each")
-      ->needs(budget);
-  app.add_option("--shown-rate", arguments->shown_rate,
-                 "frames a second, for the times of --budget (default 60)")
-      ->check(number_in(1, 1000))
-      ->needs(budget);
+  arguments->budget.add_to(app, {profile, check, generate});
   arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
@@ -552,10 +487,12 @@ Action add_play(CLI::App& app) {
       "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --frames "
       "8 "
       "--profile\n"
+      "Example: shale play models/baselines/mob_fgsr_interpolation -i "
+      "models/scenes/test/motion.json -o frames --generate 1 --animation double.png\n"
       "Example: shale play models/baselines/tss -i thin -o frames --format exr\n"
       "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --budget "
-      "90 --or models/nss_v1_low "
-      "--or models/baselines/bilinear\n"
+      "90 --or "
+      "models/nss_v1_low --or models/baselines/bilinear\n"
       "Example: shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
       "panels.png");
   return [arguments] { return play(*arguments); };

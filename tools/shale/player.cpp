@@ -325,8 +325,30 @@ Result<FloatImage> Player::play(const SourceFrame& frame, std::vector<DispatchTi
   SHALE_TRY_VOID(run(times));
   previous_jitter_ = frame.camera.jitter;
   has_past_ = true;
+  exposure_ = frame.camera.exposure;
+  return output_picture();
+}
+
+FloatImage Player::output_picture() const {
   const HostImage& output = images_.at("output");
   return to_rgb(unpack_texels(output.staging.mapped(), output.resource->format, output_size()));
+}
+
+Result<FloatImage> Player::generate(float time, std::vector<DispatchTime>* times) {
+  // The loop refuses what no program generates; then it asks for no times.
+  const std::optional<Generator>& generator = loop_.variant().generator;
+  SHALE_TRY_VOID(submit(
+      generator ? generator->program : 0,
+      [&](VkCommandBuffer commands, vk::Timestamps* timestamps) {
+        return loop_.generate(time, commands, timestamps);
+      },
+      times));
+  return output_picture();
+}
+
+Result<FloatImage> Player::show_generated(float time, std::vector<DispatchTime>* times) {
+  SHALE_TRY(FloatImage picture, generate(time, times));
+  return is_display() ? std::move(picture) : display_image(picture, exposure_);
 }
 
 Result<void> Player::run(std::vector<DispatchTime>* times) {
@@ -335,7 +357,18 @@ Result<void> Player::run(std::vector<DispatchTime>* times) {
     return bad_input("", "the package has {} programs, and none is named",
                      loop_.variant().programs.size());
   program_ = *program;
-  const std::span<const Segment> segments = program_segments(loop_.variant(), *program);
+  return submit(
+      *program,
+      [&](VkCommandBuffer commands, vk::Timestamps* timestamps) {
+        return loop_.record(*program, commands, timestamps);
+      },
+      times);
+}
+
+Result<void> Player::submit(
+    uint32_t program, const std::function<Result<void>(VkCommandBuffer, vk::Timestamps*)>& record,
+    std::vector<DispatchTime>* times) {
+  const std::span<const Segment> segments = program_segments(loop_.variant(), program);
   std::optional<vk::Timestamps> timestamps;
   if (times) {
     SHALE_TRY(timestamps, vk::Timestamps::create(context_, interval_count(segments)));
@@ -355,7 +388,7 @@ Result<void> Player::run(std::vector<DispatchTime>* times) {
                        VK_ACCESS_TRANSFER_WRITE_BIT | VK_ACCESS_TRANSFER_READ_BIT,
                        VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                        VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT);
-    recorded = loop_.record(*program, commands, timestamps ? &*timestamps : nullptr);
+    recorded = record(commands, timestamps ? &*timestamps : nullptr);
     vk::memory_barrier(context_, commands, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
                        VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT,
                        VK_ACCESS_TRANSFER_READ_BIT);

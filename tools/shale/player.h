@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -70,6 +71,12 @@ class Player {
   /// 8-bit steps. `frame` is changed to what the sandwich took.
   Result<FloatImage> show(SourceFrame& frame, std::vector<DispatchTime>* times = nullptr);
 
+  /// A picture at a time between the frames that were played last, or beyond them, as play() gives
+  /// frames; or as show() does, with the newest frame's exposure.
+  /// Errors: as FrameLoop::generate.
+  Result<FloatImage> generate(float time, std::vector<DispatchTime>* times = nullptr);
+  Result<FloatImage> show_generated(float time, std::vector<DispatchTime>* times = nullptr);
+
   /// Runs the frame that was played last again, with what it left as its past, and without a look at
   /// the result: for times that nothing between the frames disturbs.
   Result<void> run(std::vector<DispatchTime>* times);
@@ -99,6 +106,11 @@ class Player {
 
   Result<void> make_images();
   Result<void> upload(const SourceFrame& frame);
+  /// Records and runs a program, and downloads the output. `record` is FrameLoop's.
+  Result<void> submit(uint32_t program,
+                      const std::function<Result<void>(VkCommandBuffer, vk::Timestamps*)>& record,
+                      std::vector<DispatchTime>* times);
+  FloatImage output_picture() const;
   Result<void> set_params(const FrameCamera& camera);
   Extent extent_of(const std::string& name) const;
   const Resource* resource(const std::string& name) const;
@@ -107,6 +119,7 @@ class Player {
   FrameLoop loop_;
   std::map<std::string, HostImage> images_;
   std::array<float, 2> previous_jitter_{};
+  float exposure_ = 1;  ///< of the last frame
   bool has_past_ = false;
   uint32_t program_ = 0;
   std::string compiles_;  ///< what the first frame waits for; empty after it

@@ -78,7 +78,7 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
   return std::unique_ptr<FrameSource>(new SliceSource(std::move(source), arguments.first, count));
 }
 
-Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,
+Result<std::unique_ptr<SceneSource>> open_scene(const std::string& path,
                                                 const SourceArguments& arguments,
                                                 const ToolDevice& device, Extent render,
                                                 Extent output, const SamplingPattern& pattern) {
@@ -95,9 +95,7 @@ Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,
   options.clip = {arguments.first, arguments.frames, {}};
   options.keep_going = [] { return !interrupted(); };
   options.cache = device.cache();
-  SHALE_TRY(std::unique_ptr<FrameSource> source,
-            SceneSource::create(device.context(), std::move(scene), std::move(options)));
-  return source;
+  return SceneSource::create(device.context(), std::move(scene), std::move(options));
 }
 
 }  // namespace shale

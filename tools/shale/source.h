@@ -7,7 +7,7 @@
 #include <string>
 
 #include "ir/base/sampling_pattern.h"
-#include "tools/scene/frame_source.h"
+#include "tools/scene/scene_source.h"
 #include "tools/shale/device_run.h"
 
 namespace shale {
@@ -39,7 +39,7 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
 /// The frames of a scene, rendered on the device at these sizes; with `pattern` where the arguments
 /// give none.
 /// Errors: as load_scene and SceneSource::create.
-Result<std::unique_ptr<FrameSource>> open_scene(const std::string& path,
+Result<std::unique_ptr<SceneSource>> open_scene(const std::string& path,
                                                 const SourceArguments& arguments,
                                                 const ToolDevice& device, Extent render,
                                                 Extent output, const SamplingPattern& pattern);

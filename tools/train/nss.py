@@ -299,13 +299,13 @@ class Int8Nss:
         return out
 
 
-def convolve_exactly(layer: quantize.Layer, x: torch.Tensor, stride: int = 1) -> torch.Tensor:
-    """int8 codes as floats `[n, c, h, w]` through CONV2D 3x3 pad 1, RESCALE and CLAMP, to codes as floats."""
+def convolve_exactly(layer: quantize.Layer, x: torch.Tensor, stride: int = 1, padding: int = 1) -> torch.Tensor:
+    """int8 codes as floats `[n, c, h, w]` through CONV2D, RESCALE and CLAMP, to codes as floats."""
     # Sums of integers: exact in float32 below 2^24, in float64 below 2^53.
     bound = int((np.abs(layer.weight).reshape(len(layer.bias), -1).sum(1) * 255).max())
     kind = torch.float32 if bound < 2**24 else torch.float64
     weight = torch.from_numpy(layer.weight.transpose(0, 3, 1, 2).copy()).to(kind)
-    total = F.conv2d((x - layer.input_zp).to(kind), weight, None, stride, 1).long()
+    total = F.conv2d((x - layer.input_zp).to(kind), weight, None, stride, padding).long()
 
     def channels(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.asarray(values, np.int64)).view(1, -1, 1, 1)

@@ -43,7 +43,7 @@ class Converter {
       return unsupported("", "has {} programs, VGF has one sequence of segments only",
                          variant_.programs.size());
     for (const Param& param : variant_.params)
-      if (param.source == ParamSource::kReset)
+      if (param.source != ParamSource::kHost)
         return unsupported(fmt::format("parameter \"{}\"", param.name),
                            "follows the history of frames, which VGF does not have");
     for (const Spirv& words : variant_.modules)

@@ -22,14 +22,9 @@ vec3 texel(ivec2 at) {
   return karis(exposed(finite_color(rgb_of(fetch_color(inside(at, kRender)))), params.exposure));
 }
 
-vec4 cubic(float x) {
-  const float x2 = x * x, x3 = x2 * x;
-  return vec4(-0.5 * x3 + x2 - 0.5 * x, 1.5 * x3 - 2.5 * x2 + 1.0, -1.5 * x3 + 2.0 * x2 + 0.5 * x, 0.5 * (x3 - x2));
-}
-
 vec3 history_at(vec2 uv) {
   const Bilinear b = bilinear_at(uv, kOutput);
-  const vec4 wx = cubic(b.part.x), wy = cubic(b.part.y);
+  const vec4 wx = catmull_rom(b.part.x), wy = catmull_rom(b.part.y);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int y = 0; y < 4; ++y)
     [[unroll]] for (int x = 0; x < 4; ++x)

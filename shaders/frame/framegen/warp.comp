@@ -1,0 +1,148 @@
+// shaders/frame/framegen/warp.comp -- the picture at `time`, of the two frames' pixels that the splatted motion leads to.
+//
+// One invocation per output pixel. Colours are shown (rgba16_float, linear), of the newest frame and the previous one, read by
+// Catmull-Rom in the exposed Karis domain; a pixel that is met in its middle stays as it is, so that what does not move does
+// not change. Between the frames both are weighed: the one that is on the screen; the one whose depth is that of the thing that
+// was splatted (of a pixel without one the farther, for the other is still covered); of equal colours the frame nearer in
+// time; else both by time. AHEAD of the newest frame it alone has
+// colours. Where no texel was splatted: the previous frame's motion at the pixel, evenly; AHEAD the newest frame's,
+// unless that leads to what is nearer, then none. With a single frame the picture is that frame.
+// FLOW: two more samples where the flow leads; where those of the motion differ, each pair counts by the inverse square of
+// its own difference, so that what has no motion vectors is found by its looks. Source: nfru.md sections 3.3 and 6.
+// Source: Mob-FGSR (SIGGRAPH 2024), seed_networks.md sections 4.2 to 4.4; relative depth: frame_generation.md section 1.
+#version 450
+#ifndef FLOW
+#define FLOW 0
+#endif
+#include "common.glsl"
+#include "parabola.glsl"
+
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+
+const float kSameColor = 0.01;
+/// What a colour of one frame alone is trusted as: as if the other one differed by so much.
+const float kAlone = 0.05;
+
+/// A colour, and the pixel whose it is if `whole`.
+struct Taken {
+  vec3 color;
+  HALF4 pixel;
+  bool whole;
+};
+
+vec3 mapped(HALF4 pixel) { return karis(exposed(rgb_of(pixel), params.exposure)); }
+
+#define TAKE(fetch)                                                                                  \
+  const vec2 place = uv * vec2(kOutput) - 0.5;                                                       \
+  const ivec2 middle = inside(ivec2(floor(place + 0.5)), kOutput);                                   \
+  const HALF4 pixel = fetch(middle);                                                                 \
+  if (all(lessThan(abs(place - vec2(middle)), vec2(1.0 / 512.0)))) return Taken(mapped(pixel), pixel, true); \
+  const Bilinear b = bilinear_at(uv, kOutput);                                                       \
+  const vec4 wx = catmull_rom(b.part.x), wy = catmull_rom(b.part.y);                                 \
+  vec3 sum = vec3(0.0);                                                                              \
+  [[unroll]] for (int i = 0; i < 16; ++i)                                                            \
+    sum += wx[i % 4] * wy[i / 4] * mapped(fetch(inside(b.base + ivec2(i % 4, i / 4) - 1, kOutput))); \
+  return Taken(max(sum, 0.0), pixel, false);
+
+Taken newest_at(vec2 uv) { TAKE(fetch_shown) }
+#if !AHEAD
+Taken previous_at(vec2 uv) { TAKE(fetch_previous_shown) }
+#endif
+
+/// Where the pixel's thing is in the previous frame and in the newest one, in uv; its depth, below 0 if nobody knows.
+struct Places {
+  vec2 before, now;
+  float depth;
+};
+
+/// Of what moves evenly by m.
+Places evenly(vec2 uv, vec2 m, float depth) { return Places(uv - params.time * m, uv + (1.0 - params.time) * m, depth); }
+
+Places places(vec2 uv, ivec2 at) {
+  const uint word = fetch_filled(at);
+  if (word != 0u) {
+    const ivec2 source = inside(at - displacement_of(word), kRender);
+#if !AHEAD
+    if (is_previous(word)) return evenly(uv, xy_of(fetch_previous_motion(source)), fetch_previous_depth(source));
+#endif
+    const vec2 m1 = xy_of(fetch_dilated_motion(source));
+    const vec2 from = uv - way_to(params.time, m1, motion_before(source, m1));
+    return Places(from, from + m1, fetch_dilated_depth(source));
+  }
+#if AHEAD
+  const float a = params.time - 1.0;
+  const vec2 m = xy_of(fetch_dilated_motion(at));
+  const float there = fetch_dilated_depth(texel_at(uv - a * m));
+  return Places(uv, uv - (there >= fetch_dilated_depth(at) - 1e-5 ? a * m : vec2(0.0)), -1.0);
+#else
+  return evenly(uv, xy_of(fetch_previous_motion(at)), -1.0);
+#endif
+}
+
+float difference(vec3 a, vec3 b) { return dot(abs(a - b), vec3(0.5, 1.0, 0.5)); }
+
+#if FLOW
+/// Motion in uv from the previous frame to the newest one, of the nearest pixel of the flow that was sent around here.
+vec2 flow_at(vec2 uv) {
+  const ivec2 size = ivec2(FLOW_WIDTH, FLOW_HEIGHT), at = inside(ivec2(floor(uv * vec2(size))), size);
+  uint nearest = 0u;
+  ivec2 target = at;
+  [[unroll]] for (int i = 0; i < 9; ++i) {
+    const ivec2 to = inside(at + ivec2(i % 3, i / 3) - 1, size);
+    const uint word = fetch_flow_splat(to);
+    if (word > nearest) {
+      nearest = word;
+      target = to;
+    }
+  }
+  if (nearest == 0u) return vec2(0.0);
+  return xy_of(fetch_flow(inside(target - displacement_of(nearest), size))) / vec2(size);
+}
+#endif
+
+void main() {
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x >= kOutput.x || at.y >= kOutput.y) return;
+  if (params.frames < 2) {
+    store_output(at, fetch_shown(at));
+    return;
+  }
+  const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
+  const Places p = places(uv, (2 * at + 1) * kRender / (2 * kOutput));
+  const Taken newest = newest_at(p.now);
+  Taken taken = newest;
+#if !AHEAD
+  float apart = kAlone;  // how much the two colours differ
+  if (on_screen(p.before)) {
+    const Taken previous = previous_at(p.before);
+    const float z0 = view_z(fetch_previous_depth(texel_at(p.before)));
+    const float z1 = view_z(fetch_dilated_depth(texel_at(p.now)));
+    const float z = p.depth < 0.0 ? max(z0, z1) : view_z(p.depth);
+    const bool seen_before = same_depth(z0, z), seen_now = same_depth(z1, z);
+    if (!on_screen(p.now)) {
+      taken = previous;
+    } else if (seen_before != seen_now) {
+      if (seen_before) taken = previous;
+    } else if (difference(newest.color, previous.color) < kSameColor) {
+      apart = 0.0;
+      if (params.time < 0.5) taken = previous;
+    } else {
+      apart = difference(newest.color, previous.color);
+      taken = Taken(mix(previous.color, newest.color, params.time), newest.pixel, params.time == 1.0 && newest.whole);
+    }
+  }
+#if FLOW
+  const vec2 flow = flow_at(uv), before = uv - params.time * flow, now = uv + (1.0 - params.time) * flow;
+  if (apart > 0.0 && params.time < 1.0 && on_screen(before) && on_screen(now)) {
+    const vec3 c0 = previous_at(before).color, c1 = newest_at(now).color;
+    const float by_motion = kSameColor + apart, by_flow = kSameColor + difference(c0, c1);
+    const float share = by_motion * by_motion / (by_motion * by_motion + by_flow * by_flow);
+    taken = Taken(mix(taken.color, mix(c0, c1, params.time), share), newest.pixel, false);
+  }
+#endif
+#endif
+  if (taken.whole)
+    store_output(at, taken.pixel);
+  else
+    store_output(at, half4(min(karis_inverse(taken.color) / params.exposure, kMaxColor)));
+}
