@@ -243,9 +243,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.5 is newer than 1.6, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.6 is newer than 1.6, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.5 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.6 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -485,8 +485,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, parameter \"jitter\": the parameter name \"jitter\" is taken already"},
     {"ParamComponents", [](Package& p) { variant(p).params[0].components = 5; },
      "variant 0, parameter \"jitter\": 5 components are outside 1..4"},
-    {"ParamSourceNumber", [](Package& p) { variant(p).params[0].source = number<ParamSource>(2); },
-     "variant 0, parameter \"jitter\": source 2 does not exist"},
+    {"ParamSourceNumber", [](Package& p) { variant(p).params[0].source = number<ParamSource>(4); },
+     "variant 0, parameter \"jitter\": source 4 does not exist"},
     {"ParamOfReset", [](Package& p) { variant(p).params[1].is_integer = false; },
      "variant 0, parameter \"reset\": the reset flag must be one integer"},
     {"ParamAlignment", [](Package& p) { variant(p).params[0].offset_bytes = 4; },
