@@ -384,7 +384,28 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .stride_y = 8192,
                    .stride_x = 8192,
                    .epilogue = Epilogue::kResidual});
-  // Depthwise: what a pass reads begins and ends between texels.
+  // More output channels than a module holds; zeros keep the modules small.
+  cases.push_back(
+      {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
+  // Products that leave the room of one tile of two in a double, and the integers that float32 holds.
+  for (const int64_t ic : {300, 1028})
+    cases.push_back({.name = ic == 300 ? "beyond_pair" : "beyond_float",
+                     .h = 1,
+                     .w = 2,
+                     .ic = ic,
+                     .oc = 1,
+                     .kh = 1,
+                     .kw = 1,
+                     .pad = {0, 0, 0, 0},
+                     .epilogue = Epilogue::kNone,
+                     .weight_min = -128,
+                     .weight_max = -128});
+  return cases;
+}
+
+/// The same of depthwise convolutions: what a pass reads begins and ends between texels.
+inline std::vector<ConvCase> edge_depthwise_cases() {
+  std::vector<ConvCase> cases;
   for (const int64_t ic : {1, 3, 4, 16, 20, 48})
     cases.push_back(
         {.name = "depthwise_ic" + std::to_string(ic), .ic = ic, .oc = ic, .multiplier = 1});
@@ -427,22 +448,6 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .oc = 24,
                    .multiplier = 1,
                    .source = Source::kUpsample});
-  // More output channels than a module holds; zeros keep the modules small.
-  cases.push_back(
-      {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});
-  // Products that leave the room of one tile of two in a double, and the integers that float32 holds.
-  for (const int64_t ic : {300, 1028})
-    cases.push_back({.name = ic == 300 ? "beyond_pair" : "beyond_float",
-                     .h = 1,
-                     .w = 2,
-                     .ic = ic,
-                     .oc = 1,
-                     .kh = 1,
-                     .kw = 1,
-                     .pad = {0, 0, 0, 0},
-                     .epilogue = Epilogue::kNone,
-                     .weight_min = -128,
-                     .weight_max = -128});
   return cases;
 }
 

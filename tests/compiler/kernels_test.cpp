@@ -132,9 +132,15 @@ std::vector<std::string> kernel_names() {
   return names;
 }
 
+std::vector<ConvCase> edge_cases() {
+  std::vector<ConvCase> cases = edge_conv_cases();
+  for (const ConvCase& row : edge_depthwise_cases()) cases.push_back(row);
+  return cases;
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Kernels, EveryKernel,
-    testing::Combine(testing::ValuesIn(kernel_names()), testing::ValuesIn(edge_conv_cases())),
+    testing::Combine(testing::ValuesIn(kernel_names()), testing::ValuesIn(edge_cases())),
     [](const testing::TestParamInfo<EveryKernel::ParamType>& test) {
       return replaced(std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-", "minus");
     });

@@ -210,11 +210,14 @@ TEST(Select, ObeysTheListOfAllowedFamilies) {
   EXPECT_EQ(selected(graph, "generic-gpu", {"conv2d_s8_i32"}), "generic");
 }
 
+TEST(Select, TakesLiteralsForDepthwiseConvolutions) {
+  const std::string kernel = selected(
+      ConvCase{.name = "", .h = 120, .w = 120, .ic = 32, .oc = 32, .multiplier = 1}.graph());
+  EXPECT_EQ(kernel, "conv2d_s8_f64pair");
+}
+
 TEST(Select, LeavesOtherHeadsToTheGenericKernel) {
   const char* const rows[] = {
-      "const %w : i8[1,1,2,2] = [1,2,3,4]\n const %b : i32[4] = [0,0,0,0]\n"
-      "%y = depthwise_conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], "
-      "acc_type=i32} : i32[1,4,4,4]",
       "const %w : i8[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n"
       "%y = transpose_conv2d %x, %w, %b, %zp, %zp {out_pad=[0,0,0,0], stride=[1,1], acc_type=i32} "
       ": i32[1,4,4,1]",
