@@ -94,7 +94,12 @@ VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo* info,
       return created;
     data->handle = *result;
     const auto find = [&](const char* name) { return data->next(data->handle, name); };
+    // Of those that the loader does not know, only this way leads to the device.
+    const auto find_physical = [&](const char* name) {
+      return data->next_physical ? data->next_physical(data->handle, name) : find(name);
+    };
 #define SHALE_INSTANCE_HOOK(name) load(data->name, find("vk" #name));
+#define SHALE_PHYSICAL_HOOK(name) load(data->name, find_physical("vk" #name));
 #include "tools/layer/hooks.def"
     load(data->GetPhysicalDeviceExternalBufferProperties,
          find("vkGetPhysicalDeviceExternalBufferProperties"));
@@ -263,7 +268,7 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
     const bool graphs = known.serves && enables(*info, VK_ARM_DATA_GRAPH_EXTENSION_NAME);
 
     VkDeviceCreateInfo below = *info;
-    ChainCopy chain(info->pNext);
+    std::optional<ChainCopy> chain;
     const std::vector<const char*> names = names_below(*info, known);
     VkPhysicalDeviceFeatures features{};
     if (known.serves) {
@@ -274,17 +279,18 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
       }
       below.enabledExtensionCount = static_cast<uint32_t>(names.size());
       below.ppEnabledExtensionNames = names.data();
-      if (tensors || graphs) add_kernel_features(known, below, features, chain);
+      chain.emplace(info->pNext);
+      if (tensors || graphs) add_kernel_features(known, below, features, *chain);
+      below.pNext = chain->next();
     }
     auto* link = const_cast<VkLayerDeviceCreateInfo*>(link_info<VkLayerDeviceCreateInfo>(
-        chain.next(), VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO));
+        below.pNext, VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO));
     if (!link || !link->u.pLayerInfo) return VK_ERROR_INITIALIZATION_FAILED;
-    below.pNext = chain.next();
     const PFN_vkGetDeviceProcAddr next = link->u.pLayerInfo->pfnNextGetDeviceProcAddr;
     const auto create = reinterpret_cast<PFN_vkCreateDevice>(
         link->u.pLayerInfo->pfnNextGetInstanceProcAddr(instance->handle, "vkCreateDevice"));
     if (!create) return VK_ERROR_INITIALIZATION_FAILED;
-    link->u.pLayerInfo = link->u.pLayerInfo->pNext;
+    link->u.pLayerInfo = link->u.pLayerInfo->pNext;  // the loader's own structure, or its copy
     if (const VkResult created = create(physical, &below, allocator, result); created != VK_SUCCESS)
       return created;
 

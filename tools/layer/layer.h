@@ -125,6 +125,7 @@ struct Instance {
   PFN_GetPhysicalDeviceProcAddr next_physical = nullptr;
   vk::Functions functions;
 #define SHALE_INSTANCE_HOOK(name) PFN_vk##name name = nullptr;
+#define SHALE_PHYSICAL_HOOK(name) PFN_vk##name name = nullptr;
 #include "tools/layer/hooks.def"
   PFN_vkGetPhysicalDeviceExternalBufferProperties GetPhysicalDeviceExternalBufferProperties =
       nullptr;

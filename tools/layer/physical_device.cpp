@@ -80,6 +80,12 @@ void add_graph_bit(const Physical& physical, uint32_t count, VkQueueFamilyProper
   }
 }
 
+/// True where the layer steps aside, and the device below has the function itself.
+template <typename Function>
+bool below_answers(Instance& instance, VkPhysicalDevice physical, Function function) {
+  return function && !instance.physical(physical).serves;
+}
+
 /// Tensors in shaders take elements of all sizes that a device below may hold in buffers.
 bool tensor_shaders(const Physical& physical) {
   const FeatureSet features = physical.caps.features;
@@ -326,8 +332,10 @@ void VKAPI_CALL GetPhysicalDeviceExternalTensorPropertiesARM(
     VkPhysicalDevice physical, const VkPhysicalDeviceExternalTensorInfoARM* info,
     VkExternalTensorPropertiesARM* result) {
   guarded_void([&] {
-    result->externalMemoryProperties = {};
     const auto instance = instance_of(physical);
+    if (below_answers(*instance, physical, instance->GetPhysicalDeviceExternalTensorPropertiesARM))
+      return instance->GetPhysicalDeviceExternalTensorPropertiesARM(physical, info, result);
+    result->externalMemoryProperties = {};
     if (!instance->GetPhysicalDeviceExternalBufferProperties) return;
     VkPhysicalDeviceExternalBufferInfo buffer{};
     buffer.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_EXTERNAL_BUFFER_INFO;
@@ -344,7 +352,12 @@ VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM(
     VkPhysicalDevice physical, uint32_t family, uint32_t* count,
     VkQueueFamilyDataGraphPropertiesARM* results) {
   return guarded([&]() -> VkResult {
-    const uint32_t available = computes(instance_of(physical)->physical(physical), family) ? 1 : 0;
+    const auto instance = instance_of(physical);
+    if (below_answers(*instance, physical,
+                      instance->GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM))
+      return instance->GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM(physical, family, count,
+                                                                          results);
+    const uint32_t available = computes(instance->physical(physical), family) ? 1 : 0;
     return enumerate(
         available, count, results, [](VkQueueFamilyDataGraphPropertiesARM& result, uint32_t) {
           result.engine = {VK_PHYSICAL_DEVICE_DATA_GRAPH_PROCESSING_ENGINE_TYPE_DEFAULT_ARM,
@@ -357,26 +370,37 @@ VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM(
 }
 
 void VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphProcessingEnginePropertiesARM(
-    VkPhysicalDevice, const VkPhysicalDeviceQueueFamilyDataGraphProcessingEngineInfoARM*,
+    VkPhysicalDevice physical,
+    const VkPhysicalDeviceQueueFamilyDataGraphProcessingEngineInfoARM* info,
     VkQueueFamilyDataGraphProcessingEnginePropertiesARM* result) {
-  // The engine is the device itself, so nothing has to be exported to it.
-  result->foreignSemaphoreHandleTypes = 0;
-  result->foreignMemoryHandleTypes = 0;
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    const auto below = instance->GetPhysicalDeviceQueueFamilyDataGraphProcessingEnginePropertiesARM;
+    if (below_answers(*instance, physical, below)) return below(physical, info, result);
+    // The engine is the device itself, so nothing has to be exported to it.
+    result->foreignSemaphoreHandleTypes = 0;
+    result->foreignMemoryHandleTypes = 0;
+  });
 }
 
 VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphEngineOperationPropertiesARM(
-    VkPhysicalDevice, uint32_t, const VkQueueFamilyDataGraphPropertiesARM*,
+    VkPhysicalDevice physical, uint32_t family, const VkQueueFamilyDataGraphPropertiesARM* which,
     VkBaseOutStructure* result) {
-  if (auto* tosa = find_in_chain<VkQueueFamilyDataGraphTOSAPropertiesARM>(
-          static_cast<void*>(result),
-          VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_TOSA_PROPERTIES_ARM)) {
-    tosa->profileCount = static_cast<uint32_t>(std::size(kProfiles));
-    tosa->pProfiles = kProfiles;
-    tosa->extensionCount = static_cast<uint32_t>(std::size(kTosaExtensions));
-    tosa->pExtensions = kTosaExtensions;
-    tosa->level = VK_DATA_GRAPH_TOSA_LEVEL_8K_ARM;
-  }
-  return VK_SUCCESS;
+  return guarded([&]() -> VkResult {
+    const auto instance = instance_of(physical);
+    const auto below = instance->GetPhysicalDeviceQueueFamilyDataGraphEngineOperationPropertiesARM;
+    if (below_answers(*instance, physical, below)) return below(physical, family, which, result);
+    if (auto* tosa = find_in_chain<VkQueueFamilyDataGraphTOSAPropertiesARM>(
+            static_cast<void*>(result),
+            VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_TOSA_PROPERTIES_ARM)) {
+      tosa->profileCount = static_cast<uint32_t>(std::size(kProfiles));
+      tosa->pProfiles = kProfiles;
+      tosa->extensionCount = static_cast<uint32_t>(std::size(kTosaExtensions));
+      tosa->pExtensions = kTosaExtensions;
+      tosa->level = VK_DATA_GRAPH_TOSA_LEVEL_8K_ARM;
+    }
+    return VK_SUCCESS;
+  });
 }
 
 void Instance::report(VkDebugUtilsMessageSeverityFlagBitsEXT severity, VkObjectType type,
