@@ -23,6 +23,9 @@ void main() {
   if (params.frames < 2) return;
   const vec2 before = centre + params.time * xy_of(fetch_previous_motion(at)) * size;
   const ivec2 seen = ivec2(floor(before));
+  // What the newest frame shows too has been sent from there.
+  const vec2 now = (centre + xy_of(fetch_previous_motion(at)) * size) / size;
+  if (on_screen(now) && same_depth(view_z(fetch_dilated_depth(texel_at(now))), view_z(fetch_previous_depth(at)))) return;
   if (on_screen(before / size) && all(lessThanEqual(abs(seen - at), ivec2(kReach))))
     max_splat_previous(inside(seen, kRender), word_of(nearness(fetch_previous_depth(at), at), 1u, inside(seen, kRender) - at));
 #endif
