@@ -53,18 +53,18 @@ std::set<int64_t> offsets(int64_t pixels, int64_t stride, int64_t taps, int64_t 
 /// live sums, so that neighbours share their fetches.
 TapMap direct_map(const LiteralConv& conv, Arithmetic arithmetic) {
   const Shape& taps = conv.weight_shape();
-  const int64_t channels = conv.out()[3];
+  const int64_t channels = conv.out()[3], read = conv.is_depthwise() ? 1 : taps[3];
   TapMap map;
   map.source = conv.node().inputs[0];
   map.outside = conv.input_zero_point();
   if (channels <= 8) {
     map.tile_height = channels > 4 ? 1 : channels > 1 ? 2 : 4;
     map.tile_width = channels > 2 ? 2 : 4;
-    if (map.tile_height * map.tile_width * channels * taps[1] * taps[2] * taps[3] >
+    if (map.tile_height * map.tile_width * channels * taps[1] * taps[2] * read >
         most_products(arithmetic))
       map.tile_height = map.tile_width = 1;
   }
-  map.products_per_channel = map.tile_height * map.tile_width * taps[1] * taps[2] * taps[3];
+  map.products_per_channel = map.tile_height * map.tile_width * taps[1] * taps[2] * read;
   const std::span<const int64_t> stride = conv.ints(Attr::kStride), pad = conv.ints(Attr::kPad),
                                  dilation = conv.ints(Attr::kDilation);
   map.step_y = map.tile_height * stride[0];
@@ -152,7 +152,8 @@ std::optional<TapMap> upsampled_map(const LiteralConv& conv, Arithmetic arithmet
       count += texel_of(axis, a, taps[axis + 1] - 1) - texel_of(axis, a, 0) + 1;
     return count;
   };
-  map.products_per_channel = distinct(0, map.tile_height) * distinct(1, map.tile_width) * taps[3];
+  map.products_per_channel = distinct(0, map.tile_height) * distinct(1, map.tile_width) *
+                             (conv.is_depthwise() ? 1 : taps[3]);
   map.weight = [&conv, texel_of, width = map.tile_width, texels = map.texels](
                    int64_t pixel, size_t texel, int64_t oc, int64_t c) {
     int64_t sum = 0;

@@ -60,7 +60,7 @@ class Winograd {
     work[Work::kTransform] =
         tiles *
         static_cast<double>(16 * (in_channels * passes() + out[3] * std::max<int64_t>(parts_, 1)));
-    work[Work::kFetch] = tiles * conv_.fetches(tiling_);
+    work[Work::kFetch] = tiles * conv_.fetches(tiling_, {0, conv_.weight_shape()[3]});
     // Each part is taken apart into its eight results a channel.
     work[Work::kResult] = tiles * static_cast<double>(8 * out[3] * std::max<int64_t>(parts_, 1));
     return work;
@@ -87,7 +87,7 @@ class Winograd {
     const int64_t step = conv_.channels_per_loop(out_channels);
     for (int64_t first = 0; first < out_channels; first += step)
       text += pass(first, std::min(out_channels, first + step));
-    return conv_.finish(tiling_, conv_.over_rows(tiling_, text));
+    return conv_.finish(tiling_, conv_.over_rows(tiling_, text, {0, conv_.weight_shape()[3]}));
   }
 
  private:

@@ -41,7 +41,7 @@ class Winograd32 {
     work[Work::kFloatProduct] = tiles * static_cast<double>(products(conv_));
     work[Work::kTransform] =
         tiles * static_cast<double>(16 * (conv_.weight_shape()[3] + out[3] * parts_));
-    work[Work::kFetch] = tiles * conv_.fetches(tiling_);
+    work[Work::kFetch] = tiles * conv_.fetches(tiling_, {0, conv_.weight_shape()[3]});
     work[Work::kResult] = tiles * static_cast<double>(4 * out[3]);
     return work;
   }
@@ -51,7 +51,7 @@ class Winograd32 {
     std::string text = inputs();
     for (int64_t first = 0; first < channels; first += step)
       text += pass(first, std::min(channels, first + step));
-    return conv_.finish(tiling_, conv_.over_rows(tiling_, text));
+    return conv_.finish(tiling_, conv_.over_rows(tiling_, text, {0, conv_.weight_shape()[3]}));
   }
 
  private:

@@ -39,8 +39,10 @@ LiteralConv::LiteralConv(const GroupProblem& problem, const DeviceProfile& profi
       graph_(*problem.graph),
       node_(head_of(problem)),
       weight_(*graph_.value(node_.inputs[1]).constant),
+      taps_(weight_.type.shape),
       producers_(graph_.producers()),
       codegen_(problem) {
+  if (is_depthwise()) taps_ = {taps_[2] * taps_[3], taps_[0], taps_[1], taps_[2]};
   codegen_.read_tables_as_texels();
   const std::vector<int64_t> leaves = leaf_channels(node_.inputs[0]);
   for (const int64_t lanes : {16, 4})
@@ -53,7 +55,7 @@ bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& pro
   if (!profile.literal_weights || !problem.group.head) return false;
   const Graph& graph = *problem.graph;
   const Node& node = head_of(problem);
-  if (node.op != Op::kConv2d) return false;
+  if (node.op != Op::kConv2d && node.op != Op::kDepthwiseConv2d) return false;
   const auto is = [&](size_t operand, DType dtype) {
     return graph.value(node.inputs[operand]).type.dtype == dtype;
   };
@@ -80,9 +82,19 @@ const Node* LiteralConv::folded(ValueId id) const {
 }
 
 int64_t LiteralConv::weight(int64_t oc, int64_t ky, int64_t kx, int64_t c) const {
-  const Shape& shape = weight_.type.shape;
-  return weight_.get(((oc * shape[1] + ky) * shape[2] + kx) * shape[3] + c) -
-         graph_.value(node_.inputs[4]).constant->get(0);
+  const int64_t zero_point = graph_.value(node_.inputs[4]).constant->get(0);
+  if (!is_depthwise())
+    return weight_.get(((oc * taps_[1] + ky) * taps_[2] + kx) * taps_[3] + c) - zero_point;
+  // HWCM, and output channel c * M + m.
+  return c == read_by(oc, oc + 1)[0]
+             ? weight_.get((ky * taps_[2] + kx) * taps_[0] + oc) - zero_point
+             : 0;
+}
+
+std::array<int64_t, 2> LiteralConv::read_by(int64_t first, int64_t last) const {
+  if (!is_depthwise()) return {0, taps_[3]};
+  const int64_t multiplier = taps_[0] / taps_[3];
+  return {first / multiplier, (last - 1) / multiplier + 1};
 }
 
 /// Channels of every tensor that the convolution reads through its folded views; empty if a view is
@@ -209,8 +221,10 @@ int64_t LiteralConv::offset(int64_t oc) const {
   const int64_t correction = 128 + input_zero_point();
   const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
   int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
-  for (int64_t k = 0; correction != 0 && k < taps[1] * taps[2] * taps[3]; ++k)
-    offset -= correction * weight(oc, k / (taps[2] * taps[3]), k / taps[3] % taps[2], k % taps[3]);
+  const auto [from, to] = read_by(oc, oc + 1);
+  for (int64_t k = 0; correction != 0 && k < taps[1] * taps[2]; ++k)
+    for (int64_t c = from; c < to; ++c)
+      offset -= correction * weight(oc, k / taps[2], k % taps[2], c);
   return offset;
 }
 
@@ -334,22 +348,23 @@ int64_t LiteralConv::row_parts(const Tiling& tiling) const {
                   height);
 }
 
-double LiteralConv::fetches(const Tiling& tiling) const {
+double LiteralConv::fetches(const Tiling& tiling, std::array<int64_t, 2> channels) const {
   const double starts =  // of a part, for each row
       static_cast<double>(row_parts(tiling)) / static_cast<double>(tiles(tiling)[0]);
   double count = 0;
   for (size_t i = 0; i < tiling.texels.size(); ++i) count += tiling.below(i) ? starts : 1.0;
-  return count * static_cast<double>(ceil_div(weight_shape()[3], lanes_));
+  return count * static_cast<double>(ceil_div(channels[1], lanes_) - channels[0] / lanes_);
 }
 
-std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body) {
+std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body,
+                                   std::array<int64_t, 2> channels) {
   const int64_t height = tiles(tiling)[0], parts = row_parts(tiling);
   const bool loop = parts < height;
   std::string before, each, after;
   for (size_t i = 0; i < tiling.texels.size(); ++i) {
     const auto [row, column] = tiling.texels[i];
     const std::optional<size_t> next = loop ? tiling.below(i) : std::nullopt;
-    for (int64_t c = 0; c < weight_shape()[3]; c += lanes_) {
+    for (int64_t c = channels[0] / lanes_ * lanes_; c < channels[1]; c += lanes_) {
       (next ? before : each) +=
           fmt::format("  {} {} = {};\n", texel_type(), texel(i, c),
                       fetch(tiling.source, c, plus("iy", row), plus("ix", column), tiling.outside));
@@ -416,9 +431,10 @@ int64_t TapMap::products(const LiteralConv& conv) const {
   int64_t count = 0;
   for (int64_t pixel = 0; pixel < pixels(); ++pixel)
     for (size_t tap = 0; tap < taps.size(); ++tap)
-      for (int64_t oc = 0; oc < conv.out()[3]; ++oc)
-        for (int64_t c = 0; c < conv.weight_shape()[3]; ++c)
-          count += weight(pixel, tap, oc, c) != 0;
+      for (int64_t oc = 0; oc < conv.out()[3]; ++oc) {
+        const auto [from, to] = conv.read_by(oc, oc + 1);
+        for (int64_t c = from; c < to; ++c) count += weight(pixel, tap, oc, c) != 0;
+      }
   return count;
 }
 
@@ -459,7 +475,7 @@ class TapEmitter {
       std::string passes;
       for (int64_t pixel = 0; pixel < map_.pixels(); pixel += together)
         passes += pass(oc, end, pixel, std::min(map_.pixels(), pixel + together));
-      body += conv_.over_rows(map_, passes);
+      body += conv_.over_rows(map_, passes, conv_.read_by(oc, end));
     }
     return conv_.finish(map_, body);
   }
@@ -471,9 +487,9 @@ class TapEmitter {
     for (int64_t p = pixel; p < end; ++p)
       for (int64_t oc = first; oc < last; ++oc)
         text += fmt::format("  {} {} = 0{};\n", type_, sum(p, oc), point_);
+    const auto [from, to] = conv_.read_by(first, last);
     for (size_t i = 0; i < map_.taps.size(); ++i)
-      for (int64_t c = 0; c < conv_.weight_shape()[3]; ++c)
-        text += products(first, last, pixel, end, i, c);
+      for (int64_t c = from; c < to; ++c) text += products(first, last, pixel, end, i, c);
     const int64_t width = map_.tile_width / map_.sides();
     for (int64_t p = pixel; p < end; ++p) {
       if (pair_)
@@ -540,14 +556,16 @@ WorkTable tap_work(const GroupProblem& problem, const DeviceProfile& profile, co
   const auto [height, width] = conv.tiles(map);
   const double tiles = static_cast<double>(literal_lanes(width) * height * conv.out()[0]);
   WorkTable work{};
-  double loops = 0, passes = 0;
+  double unpacked = 0;  // channels, over all passes
   for (int64_t first = 0; first < channels; first += step) {
     const int64_t last = std::min(channels, first + step),
                   loop = conv.channels_per_loop(last - first);
     for (int64_t oc = first; oc < last; oc += loop) {
-      loops += 1;
-      passes += static_cast<double>(
-          ceil_div(map.pixels(), pixels_per_pass(conv, std::min(last, oc + loop) - oc)));
+      const int64_t end = std::min(last, oc + loop);
+      const std::array<int64_t, 2> read = conv.read_by(oc, end);
+      work[Work::kFetch] += tiles * conv.fetches(map, read);
+      unpacked += static_cast<double>(ceil_div(map.pixels(), pixels_per_pass(conv, end - oc)) *
+                                      (read[1] - read[0]));
     }
     work[Work::kDispatch] += 1;
   }
@@ -556,10 +574,7 @@ WorkTable tap_work(const GroupProblem& problem, const DeviceProfile& profile, co
                        : map.arithmetic == Arithmetic::kFloat32  ? Work::kFloatProduct
                                                                  : Work::kIntProduct;
   work[product] = work[Work::kCode] * tiles;
-  work[Work::kFetch] = tiles * loops * conv.fetches(map);
-  work[Work::kUnpack] =
-      tiles * passes *
-      static_cast<double>(static_cast<int64_t>(map.taps.size()) * conv.weight_shape()[3]);
+  work[Work::kUnpack] = tiles * unpacked * static_cast<double>(map.taps.size());
   work[Work::kResult] = tiles * static_cast<double>(map.tile_height * map.tile_width * channels);
   work[Work::kByte] = static_cast<double>(problem.cost.bytes_read + problem.cost.bytes_written);
   return work;

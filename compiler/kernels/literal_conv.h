@@ -29,7 +29,7 @@ struct Tiling {
   std::optional<size_t> below(size_t index) const;
 };
 
-/// A conv2d of int8 with constant weights and bias and what is fused around it; writes fetches and
+/// A conv2d or depthwise_conv2d of int8 with constant weights and bias and what is fused around it; writes fetches and
 /// results, while the families write the sums in between.
 class LiteralConv {
  public:
@@ -42,10 +42,13 @@ class LiteralConv {
   const Graph& graph() const { return graph_; }
   const Node& node() const { return node_; }
   Codegen& codegen() { return codegen_; }
-  /// OHWI.
-  const Shape& weight_shape() const { return weight_.type.shape; }
-  /// Zero point taken off.
+  /// OHWI, of a depthwise convolution as if it were a whole one.
+  const Shape& weight_shape() const { return taps_; }
+  /// Zero point taken off; 0 for an input channel that the output channel does not read.
   int64_t weight(int64_t oc, int64_t ky, int64_t kx, int64_t c) const;
+  bool is_depthwise() const { return node_.op == Op::kDepthwiseConv2d; }
+  /// The input channels [first, second) that output channels [first, last) read.
+  std::array<int64_t, 2> read_by(int64_t first, int64_t last) const;
   /// NHWC of the convolution's result.
   const Shape& out() const { return graph_.value(node_.output).type.shape; }
   int64_t input_zero_point() const { return graph_.value(node_.inputs[3]).constant->get(0); }
@@ -90,13 +93,14 @@ class LiteralConv {
   std::string texel(size_t index, int64_t c) const {
     return fmt::format("t{}_{}", index, c / lanes_);
   }
-  /// Fetches the texels of each of the invocation's tiles and runs `body` on them, in which `row` and
-  /// `x` are the tile's.
-  std::string over_rows(const Tiling& tiling, const std::string& body);
+  /// Fetches input channels [first, second) of the texels of each of the invocation's tiles and runs `body` on them, in
+  /// which `row` and `x` are the tile's.
+  std::string over_rows(const Tiling& tiling, const std::string& body,
+                        std::array<int64_t, 2> channels);
   /// Parts of the rows of tiles, even ones: an invocation makes all tiles of its column in one part.
   int64_t row_parts(const Tiling& tiling) const;
-  /// Fetches for a tile of one such loop, on average.
-  double fetches(const Tiling& tiling) const;
+  /// Fetches for a tile of one such loop over `channels`, on average.
+  double fetches(const Tiling& tiling, std::array<int64_t, 2> channels) const;
   /// Tiles along y and x.
   std::array<int64_t, 2> tiles(const Tiling& tiling) const;
 
@@ -130,6 +134,7 @@ class LiteralConv {
   const Graph& graph_;
   const Node& node_;
   const Tensor& weight_;
+  Shape taps_;
   std::vector<std::optional<NodeId>> producers_;
   Codegen codegen_;
   int64_t lanes_ = 1;

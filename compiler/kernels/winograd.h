@@ -44,8 +44,8 @@ inline bool applies(const LiteralConv& conv) {
   const auto all_one = [&](Attr attr) {
     return conv.ints(attr)[0] == 1 && conv.ints(attr)[1] == 1;
   };
-  return taps[1] == 3 && taps[2] == 3 && all_one(Attr::kStride) && all_one(Attr::kDilation) &&
-         conv.lanes() >= 4;
+  return !conv.is_depthwise() && taps[1] == 3 && taps[2] == 3 && all_one(Attr::kStride) &&
+         all_one(Attr::kDilation) && conv.lanes() >= 4;
 }
 
 /// `tiles` 2x2 tiles next to each other.

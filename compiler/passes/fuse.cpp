@@ -110,8 +110,9 @@ Result<Change> fuse_views(Graph& graph, const PassContext&) {
     for (size_t operand = 0; operand < node.inputs.size(); ++operand) {
       const std::optional<uint32_t> producer = groups.private_producer(node.inputs[operand]);
       if (!producer || op_kind(graph.nodes[*producer]) != OpKind::kView) continue;
-      if (kind == OpKind::kHead && (node.op != Op::kConv2d || operand != 0 ||
-                                    !folds_into_convolution(graph.nodes[*producer])))
+      const bool addresses = node.op == Op::kConv2d || node.op == Op::kDepthwiseConv2d;
+      if (kind == OpKind::kHead &&
+          (!addresses || operand != 0 || !folds_into_convolution(graph.nodes[*producer])))
         continue;
       if (groups.may_merge(i, *producer)) groups.merge(i, *producer);
     }

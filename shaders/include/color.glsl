@@ -29,6 +29,9 @@ vec3 exposed(vec3 c, float exposure) { return least(c * exposure, vec3(kMaxColor
 
 float largest(vec3 c) { return most(c.r, most(c.g, c.b)); }
 
+/// Filters with negative lobes work in the Karis domain. Above this (an exposed 7, which a display shows as almost
+/// white) they may not leave their taps: the inverse would make of an overshoot to 0.99 a light of 99.
+const float kNoOvershoot = 0.875;
 /// [0, inf) to [0, 1).
 vec3 karis(vec3 x) { return x * (1.0 / (1.0 + largest(x))); }
 vec3 karis_inverse(vec3 x) {

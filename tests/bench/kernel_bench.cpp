@@ -24,6 +24,7 @@ struct Case {
   int64_t in, out, height, width;  ///< of the convolution's result
   int64_t most;                    ///< largest weight
   bool upsampled;                  ///< by 2, before the convolution
+  bool depthwise = false;
 };
 /// Weights of the whole range for the direct kernels; smaller ones, as training gives, where the
 /// proof of Winograd's sums asks for them.
@@ -32,13 +33,16 @@ constexpr Case kCases[] = {{"16->16", 16, 16, 540, 960, 127, false},
                            {"64->64", 64, 64, 270, 480, 127, false},
                            {"32->32, small weights", 32, 32, 540, 960, 30, false},
                            {"48->16, small weights", 48, 16, 540, 960, 30, false},
-                           {"32->16 over nearest x2", 32, 16, 540, 960, 127, true}};
+                           {"32->16 over nearest x2", 32, 16, 540, 960, 127, true},
+                           {"depthwise 32", 32, 32, 540, 960, 127, false, true},
+                           {"depthwise 144", 144, 144, 56, 56, 127, false, true}};
 constexpr std::string_view kKernels[] = {
     "generic",           "conv2d_s8_i32",        "conv2d_s8_f32exact",
     "conv2d_s8_f64pair", "conv2d_s8_winograd",   "conv2d_s8_phase",
     "conv2d_s8_loop",    "conv2d_s8_winograd32", "conv2d_s8_phase32"};
 
 bool is_for(const Case& c, std::string_view kernel) {
+  if (kernel == "conv2d_s8_loop" && c.depthwise) return false;
   if (kernel.starts_with("conv2d_s8_winograd")) return c.most < 127;
   if (kernel.starts_with("conv2d_s8_phase")) return c.upsampled;
   return kernel != "conv2d_s8_i32" || c.most == 127;
@@ -75,7 +79,9 @@ Graph convolution(const Case& c) {
     x = graph.add_node(Op::kResize, Attrs().set(Attr::kMode, kNearest), {x, scale, offset, border},
                        "resized", {DType::kInt8, {1, c.height, c.width, c.in}});
   }
-  const ValueId w = constant(graph, "w", DType::kInt8, {c.out, 3, 3, c.in}, -c.most, c.most);
+  const ValueId w =
+      constant(graph, "w", DType::kInt8,
+               c.depthwise ? Shape{3, 3, c.in, 1} : Shape{c.out, 3, 3, c.in}, -c.most, c.most);
   const ValueId b = constant(graph, "b", DType::kInt32, {c.out}, -20000, 20000);
   const ValueId zp = constant(graph, "zp", DType::kInt8, {1}, -128, -128);
   const ValueId zero = constant(graph, "zero", DType::kInt8, {1}, 0, 0);
@@ -88,8 +94,8 @@ Graph convolution(const Case& c) {
       .set(Attr::kStride, std::vector<int64_t>{1, 1});
   conv.set(Attr::kDilation, std::vector<int64_t>{1, 1}).set(Attr::kLocalBound, 0);
   conv.set(Attr::kAccType, static_cast<int64_t>(DType::kInt32));
-  const ValueId acc =
-      graph.add_node(Op::kConv2d, conv, {x, w, b, zp, zero}, "acc", {DType::kInt32, shape});
+  const ValueId acc = graph.add_node(c.depthwise ? Op::kDepthwiseConv2d : Op::kConv2d, conv,
+                                     {x, w, b, zp, zero}, "acc", {DType::kInt32, shape});
   Attrs rescale;
   rescale.set(Attr::kScale32, 1).set(Attr::kRoundingMode, kSingleRound).set(Attr::kPerChannel, 1);
   rescale.set(Attr::kInputUnsigned, 0).set(Attr::kOutputUnsigned, 0);
@@ -157,7 +163,8 @@ void bench_convolution(benchmark::State& state, const Case& c, const std::string
   if (variant.segments[0].dispatches[0].kernel != kernel)
     return state.SkipWithError("another kernel was chosen");
   const Tensor x = Tensor::zeros({DType::kInt8, input_shape(c)});
-  const double gop = 2e-9 * static_cast<double>(9 * c.in * c.out * c.height * c.width);
+  const double gop =
+      2e-9 * static_cast<double>(9 * (c.depthwise ? 1 : c.in) * c.out * c.height * c.width);
   measure(state, rate_name(c, kernel), compiled->package, {x}, gop, kernel == "generic" ? 1 : 9);
 }
 

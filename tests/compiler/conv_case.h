@@ -24,10 +24,11 @@ enum class Epilogue {
   kQuartersDoubleRound,
 };
 
-/// One conv2d over int8 in NHWC; extents are those of the convolution's input.
+/// One conv2d, or with `multiplier` depthwise_conv2d, over int8 in NHWC; extents are those of the convolution's input.
 struct ConvCase {
   std::string name;
   int64_t n = 1, h = 5, w = 7, ic = 4, oc = 8;
+  int64_t multiplier = 0;  ///< depthwise: output channels of an input channel, oc = ic * multiplier
   int64_t kh = 3, kw = 3;
   int64_t stride_y = 1, stride_x = 1;
   int64_t dilation_y = 1, dilation_x = 1;
@@ -57,7 +58,10 @@ struct ConvCase {
       return g.add_constant(label, Tensor::from_ints({dtype, {1}}, std::vector<int64_t>{value}));
     };
     const ValueId x = conv_input(g);
-    Tensor weights = tensor(DType::kInt8, {oc, kh, kw, ic}, weight_min, weight_max);
+    const bool is_depthwise = multiplier > 0;
+    Tensor weights =
+        tensor(DType::kInt8, is_depthwise ? Shape{kh, kw, ic, multiplier} : Shape{oc, kh, kw, ic},
+               weight_min, weight_max);
     for (int64_t i = 0; i < weights.count(); ++i)
       if (draw(0, 99) < zero_weights) weights.set(i, 0);
     const ValueId weight = g.add_constant("w", std::move(weights));
@@ -72,8 +76,8 @@ struct ConvCase {
     const int64_t oh = (h - 1 + pad[0] + pad[1] - (kh - 1) * dilation_y) / stride_y + 1;
     const int64_t ow = (w - 1 + pad[2] + pad[3] - (kw - 1) * dilation_x) / stride_x + 1;
     const Shape out{n, oh, ow, oc};
-    ValueId last =
-        g.add_node(Op::kConv2d, attrs, {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
+    ValueId last = g.add_node(is_depthwise ? Op::kDepthwiseConv2d : Op::kConv2d, attrs,
+                              {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
 
     const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift,
                              int64_t high_shift, int64_t out_zp, int64_t least_multiplier = 1 << 30,
@@ -380,6 +384,49 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .stride_y = 8192,
                    .stride_x = 8192,
                    .epilogue = Epilogue::kResidual});
+  // Depthwise: what a pass reads begins and ends between texels.
+  for (const int64_t ic : {1, 3, 4, 16, 20, 48})
+    cases.push_back(
+        {.name = "depthwise_ic" + std::to_string(ic), .ic = ic, .oc = ic, .multiplier = 1});
+  cases.push_back(
+      {.name = "depthwise_multiplier3", .ic = 12, .oc = 36, .multiplier = 3, .input_zp = -7});
+  cases.push_back({.name = "depthwise_stride2",
+                   .n = 2,
+                   .h = 10,
+                   .w = 12,
+                   .ic = 40,
+                   .oc = 40,
+                   .multiplier = 1,
+                   .stride_y = 2,
+                   .stride_x = 2,
+                   .pad = {0, 1, 0, 1},
+                   .input_zp = -128,
+                   .epilogue = Epilogue::kTable});
+  cases.push_back({.name = "depthwise_5x5_looped_rows",
+                   .h = 150,
+                   .w = 9,
+                   .ic = 36,
+                   .oc = 36,
+                   .multiplier = 1,
+                   .kh = 5,
+                   .kw = 5,
+                   .pad = {2, 2, 2, 2},
+                   .input_zp = 4,
+                   .weight_zp = 3});
+  cases.push_back({.name = "depthwise_of_concat",
+                   .h = 7,
+                   .w = 10,
+                   .ic = 8,
+                   .oc = 16,
+                   .multiplier = 2,
+                   .source = Source::kPadOfConcatOfResize});
+  cases.push_back({.name = "depthwise_upsampled",
+                   .h = 6,
+                   .w = 9,
+                   .ic = 24,
+                   .oc = 24,
+                   .multiplier = 1,
+                   .source = Source::kUpsample});
   // More output channels than a module holds; zeros keep the modules small.
   cases.push_back(
       {.name = "several_modules", .h = 2, .w = 3, .ic = 36, .oc = 40, .zero_weights = 95});

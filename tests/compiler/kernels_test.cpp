@@ -88,6 +88,9 @@ bool takes(const std::string& kernel, const ConvCase& row) {
   const bool is_plain =
       row.stride_y == 1 && row.stride_x == 1 && row.dilation_y == 1 && row.dilation_x == 1;
   if (kernel == "generic" || kernel == "conv2d_s8_i32") return true;
+  if (row.multiplier > 0 && (kernel == "conv2d_s8_dot8" || kernel == "conv2d_s8_loop" ||
+                             kernel.starts_with("conv2d_s8_winograd")))
+    return false;
   if (kernel == "conv2d_s8_dot8") return true;
   // Weights of full range leave int8 without their zero point.
   if (kernel == "conv2d_s8_loop") return row.weight_zp == 0;

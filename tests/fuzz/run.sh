@@ -4,7 +4,7 @@ set -eu
 build=$1
 seconds=$2
 shift 2
-[ $# -gt 0 ] || set -- tosa_fuzz tir_fuzz spirv_graph_fuzz vgf_fuzz package_fuzz pipeline_cache_fuzz
+[ $# -gt 0 ] || set -- tosa_fuzz tir_fuzz spirv_graph_fuzz vgf_fuzz package_fuzz pipeline_cache_fuzz layer_fuzz
 here=$(cd "$(dirname "$0")/../.." && pwd)
 corpus=$(mktemp -d)
 trap 'rm -rf "$corpus"' EXIT INT TERM
@@ -13,6 +13,7 @@ golden="$corpus/tosa"
 find "$here/models" "$golden/graphs" "$golden/container" "$golden/const" -name '*.tosa' -size -64k 2>/dev/null | sort |
   xargs "$build/tests/fuzz/make_seeds" "$corpus"
 cp "$here"/tests/golden/vgf/*.vgf "$corpus/vgf_fuzz"
+cp -r "$corpus/spirv_graph_fuzz" "$corpus/layer_fuzz"
 for target in "$@"; do
   # A finding lands in the current folder.
   if ! "$build/tests/fuzz/$target" "$corpus/$target" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 \

@@ -12,3 +12,6 @@ run(${CMAKE_COMMAND} --build ${WORK_DIR}/build)
 run(${WORK_DIR}/prefix/bin/shale compile ${MODEL} --render 24x16 -o ${WORK_DIR}/small.shale)
 run(${WORK_DIR}/build/outside ${WORK_DIR}/small.shale)
 run(${WORK_DIR}/build/outside_c)
+# The layer is found by its manifest, and finds its library.
+run(${CMAKE_COMMAND} -E env VK_LAYER_PATH=${WORK_DIR}/prefix/share/vulkan/explicit_layer.d VK_INSTANCE_LAYERS=VK_LAYER_SHALE_data_graph
+  SHALE_LAYER_CACHE=off ${BINARY_DIR}/tests/layer/layer_example)

@@ -7,6 +7,7 @@
 #include <fstream>
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <string>
 
 namespace {
@@ -67,13 +68,76 @@ TEST_F(Cli, EveryCommandHasHelpWithAnExample) {
   EXPECT_EQ(top.exit, 0);
   for (const char* command :
        {"compile", "run", "play", "report", "fit", "trade", "compare", "dump", "convert", "verify",
-        "conform", "doctor", "diff", "scene", "eval", "bench", "tune"}) {
+        "conform", "doctor", "diff", "scene", "eval", "bench", "tune", "stress"}) {
     EXPECT_NE(top.text.find(command), std::string::npos) << command;
     const Outcome help = shale(std::string(command) + " --help");
     EXPECT_EQ(help.exit, 0) << command;
     EXPECT_NE(help.text.find("Example: shale " + std::string(command)), std::string::npos)
         << help.text;
   }
+}
+
+TEST_F(Cli, ABudgetLetsCheaperSandwichesStepIn) {
+  write(file("load.txt"), "1\n");
+  const std::string play = "play " + kModels + "/baselines/lanczos -i " + kModels +
+                           "/scenes/test/motion.json --render 64x36 --ratio 2 --frames 4 -o " +
+                           file("frames");
+  // No frame takes a nanosecond: after two of them the cheapest is all that is left.
+  const std::string cheaper = " --or " + kModels + "/baselines/nearest";
+  const Outcome tight =
+      shale(play + " --budget 0.001 --load " + file("load.txt") + cheaper + " --json");
+  ASSERT_EQ(tight.exit, 0) << tight.text;
+  const auto json = nlohmann::json::parse(tight.text);
+  EXPECT_EQ(json["budget"]["switches"], 1);
+  EXPECT_EQ(json["budget"]["within"], 0);
+  for (size_t i = 0; i < 4; ++i) {
+    EXPECT_EQ(json["frames"][i]["model"],
+              kModels + (i < 2 ? "/baselines/lanczos" : "/baselines/nearest"));
+    EXPECT_GT(json["frames"][i]["frame_ms"], 0);
+  }
+  const auto ample =
+      nlohmann::json::parse(shale(play + " --budget 100000" + cheaper + " --json").text);
+  EXPECT_EQ(ample["budget"]["switches"], 0);
+  EXPECT_EQ(ample["budget"]["within"], 1);
+
+  write(file("bad.txt"), "1\n2\nquick\n");
+  const Outcome bad = shale(play + " --budget 10 --load " + file("bad.txt") + cheaper);
+  EXPECT_EQ(bad.exit, 1);
+  EXPECT_NE(bad.text.find("line 3 is \"quick\""), std::string::npos) << bad.text;
+  EXPECT_EQ(shale(play + " --or x").exit, 2);
+  EXPECT_EQ(shale(play + " --budget 10 --profile").exit, 2);
+  const Outcome other = shale(play + " --budget 10 --or " + kModels + "/srpo_x2");
+  EXPECT_EQ(other.exit, 1);
+  EXPECT_NE(other.text.find("other pictures"), std::string::npos) << other.text;
+}
+
+TEST_F(Cli, StressSaysOfEachExtremeWhetherItHolds) {
+  const std::string lanczos = kModels + "/baselines/lanczos --render 32x18 --frames 1";
+  const Outcome all = shale("stress " + lanczos + " --json --page " + file("page.html"));
+  const auto json = nlohmann::json::parse(all.text);
+  // Colours through a filter with negative lobes, and no past: nothing lasts, nothing drifts.
+  std::set<std::string> groups;
+  for (const auto& row : json["faults"]) {
+    groups.insert(row["group"]);
+    EXPECT_EQ(row["not_finite"], 0) << row["fault"];
+    EXPECT_EQ(row["lasts_frames"], 0) << row["fault"];
+  }
+  EXPECT_EQ(groups, (std::set<std::string>{"colour", "exposure", "cut"}));
+  EXPECT_EQ(json["courses"].size(), 6u);
+  for (const auto& row : json["courses"]) EXPECT_EQ(row["drift_largest_codes"], 0) << row["course"];
+  EXPECT_EQ(all.exit, json["hold"] == json["verdicts"] ? 0 : 1);
+  EXPECT_NE(read(file("page.html")).find("At the extremes"), std::string::npos);
+
+  // A light beside the dark is no brighter than it was, though the filter overshoots.
+  const auto colours =
+      nlohmann::json::parse(shale("stress " + lanczos + " --only colour --json").text);
+  EXPECT_EQ(colours["hold"], colours["verdicts"]);
+  EXPECT_TRUE(colours["courses"].empty());
+
+  EXPECT_EQ(shale("stress " + lanczos + " --only lights").exit, 2);
+  const Outcome network = shale("stress " + file("small.tir"));
+  EXPECT_EQ(network.exit, 1);
+  EXPECT_NE(network.text.find("has no sandwich"), std::string::npos) << network.text;
 }
 
 TEST_F(Cli, ExitCodesTellUsageFromRefusalFromMissingDevice) {

@@ -1,9 +1,12 @@
 // shale play: pictures, scenes or captured frames through a sandwich, on the device.
 #include <algorithm>
+#include <charconv>
 #include <filesystem>
+#include <limits>
+#include <sstream>
 
 #include "ir/base/file.h"
-#include "ir/reference/interpreter.h"
+#include "runtime/frame/budget.h"
 #include "tools/eval/tonemap.h"
 #include "tools/scene/exr.h"
 #include "tools/shale/animation.h"
@@ -20,11 +23,15 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
+constexpr int kMeasured = 8;            ///< frames that tell what a choice of --budget costs
 
 struct Arguments {
   std::string model, input, output, format, compare, reference, animation, debug_view, dump;
+  std::string load;
+  std::vector<std::string> others;
   std::vector<uint32_t> crop;
   uint32_t zoom = 4, repeat = 0;
+  double budget_ms = 0, shown_rate = 60;
   SourceArguments source;
   CompileArguments compile;
   DeviceArguments device;
@@ -121,28 +128,6 @@ Result<void> dump(const Player& player, const std::string& folder, uint32_t fram
   return {};
 }
 
-/// The network's outputs of the last frame against the interpreter's, from the same inputs.
-Result<std::optional<std::string>> check(const Player& player, const Graph& graph) {
-  std::vector<Tensor> inputs;
-  for (const Resource* resource : tensors_of(player.variant(), Category::kInput)) {
-    SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));
-    inputs.push_back(std::move(tensor));
-  }
-  const std::vector<const Resource*> names = tensors_of(player.variant(), Category::kOutput);
-  std::vector<Tensor> outputs;
-  for (const Resource* name : names) {
-    SHALE_TRY(Tensor found, player.read_tensor(name->name));
-    outputs.push_back(std::move(found));
-  }
-  SHALE_TRY(
-      const std::vector<OutputCheck> checks,
-      check_outputs(graph, inputs, outputs, [](uint32_t, uint32_t) { return !interrupted(); }));
-  for (size_t i = 0; i < outputs.size(); ++i)
-    if (checks[i].difference)
-      return std::optional("output \"" + names[i]->name + "\": " + *checks[i].difference);
-  return std::optional<std::string>();
-}
-
 /// Psnr of the picture, of nearest and of Lanczos against the reference.
 Result<Json> psnr_against(const std::string& path, const Picture& input, const Picture& result) {
   SHALE_TRY(const Picture reference, load_picture(path));
@@ -157,14 +142,23 @@ Result<Json> psnr_against(const std::string& path, const Picture& input, const P
 void print(const Json& json, const std::vector<DispatchTime>& median, size_t measured,
            std::FILE* to) {
   for (const Json& frame : json["frames"]) {
-    fmt::print(to, "{} -> {} ({}x{}){}\n", frame["input"].get<std::string>(),
+    const std::string timed =
+        frame.contains("model") ? fmt::format(", {:.1f} ms by {}", frame["frame_ms"].get<double>(),
+                                              frame["model"].get<std::string>())
+                                : "";
+    fmt::print(to, "{} -> {} ({}x{}){}{}\n", frame["input"].get<std::string>(),
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
                frame["height"].get<uint32_t>(),
-               frame.contains("network") ? ", network " + frame["network"].get<std::string>() : "");
+               frame.contains("network") ? ", network " + frame["network"].get<std::string>() : "",
+               timed);
     if (frame.contains("psnr_db"))
       for (const auto& [name, value] : frame["psnr_db"].items())
         fmt::print(to, "  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());
   }
+  if (json.contains("budget"))
+    fmt::print(to, "  {:.1f} % of {} frames within {} ms, {} switches\n",
+               100 * json["budget"]["within"].get<double>(), json["budget"]["frames"].get<size_t>(),
+               json["budget"]["budget_ms"].get<double>(), json["budget"]["switches"].get<size_t>());
   if (median.empty()) return;
   for (const Json& time : json["dispatches"])
     fmt::print(to, "  {:>10.1f} us {:>5.1f} %  {:<14} {:<20} {}\n", time["time_us"].get<double>(),
@@ -197,6 +191,127 @@ void add_times(Json& json, const std::vector<DispatchTime>& median) {
   }
   for (Json& segment : json["segments"]) segment["share"] = share(segment["time_us"].get<double>());
 }
+
+double total_ms(const std::vector<DispatchTime>& times) {
+  double us = 0;
+  for (const DispatchTime& time : times) us += time.time_us;
+  return us / 1000;
+}
+
+/// The sandwiches that a budget chooses from, the best one first; without a budget there is one.
+class Choices {
+ public:
+  static Result<Choices> create(const Arguments& arguments, const ToolDevice& device,
+                                const Sandwich& first, const CompileArguments& compile) {
+    Choices choices(arguments);
+    SHALE_TRY_VOID(choices.add(device, arguments.model, first));
+    const Player& best = *choices.players_[0];
+    for (const std::string& path : arguments.others) {
+      CompileArguments sized = compile;
+      sized.ratio = 0;
+      SHALE_TRY(const Sandwich other,
+                load_sandwich(path, sized, best.render_size(), best.output_size()));
+      SHALE_TRY_VOID(choices.add(device, path, other));
+      const Player& player = *choices.players_.back();
+      if (player.render_size() != best.render_size() ||
+          player.output_size() != best.output_size() || player.is_display() != best.is_display())
+        return bad_input(path, "takes or makes other pictures than {}", arguments.model);
+    }
+    if (!arguments.load.empty()) SHALE_TRY_VOID(choices.read_load());
+    return choices;
+  }
+
+  /// What each costs, by a frame that leaves no trace.
+  Result<void> measure(const SourceFrame& frame) {
+    if (arguments_.budget_ms == 0) return {};
+    std::vector<double> costs;
+    for (const std::unique_ptr<Player>& player : players_) {
+      SHALE_TRY_VOID(player->warm_up(frame));
+      // The least of several: other work on the machine only ever adds.
+      double least = std::numeric_limits<double>::infinity();
+      for (int i = 0; i < kMeasured; ++i) {
+        std::vector<DispatchTime> times;
+        SHALE_TRY_VOID(player->play(frame, &times));
+        least = std::min(least, total_ms(times));
+      }
+      player->reset();
+      costs.push_back(least);
+    }
+    Result<FrameBudget> budget = FrameBudget::create(
+        costs, {.budget_ms = arguments_.budget_ms, .frame_seconds = 1 / arguments_.shown_rate});
+    if (!budget)
+      return bad_input("--or", "{}; the times are those of the first frame, in the order given",
+                       budget.error().text());
+    budget_ = *std::move(budget);
+    return {};
+  }
+
+  /// Of the next frame. One that comes anew starts without a past.
+  Player& next() {
+    const size_t choice = budget_ ? budget_->choice() : 0;
+    if (choice != now_) {
+      players_[choice]->reset();
+      ++switches_;
+    }
+    now_ = choice;
+    return *players_[choice];
+  }
+
+  /// The time of the frame that next() played.
+  void add(const std::vector<DispatchTime>& times, Json& entry) {
+    if (!budget_) return;
+    const double load = load_.empty() ? 1 : load_[frames_ % load_.size()],
+                 ms = total_ms(times) * load;
+    budget_->add(ms);
+    within_ += ms <= arguments_.budget_ms ? 1 : 0;
+    ++frames_;
+    entry.update({{"model", paths_[now_]}, {"frame_ms", ms}, {"load", load}});
+  }
+
+  Json summary() const {
+    return {{"budget_ms", arguments_.budget_ms},
+            {"frames", frames_},
+            {"within",
+             static_cast<double>(within_) / static_cast<double>(std::max<size_t>(frames_, 1))},
+            {"switches", switches_}};
+  }
+
+ private:
+  explicit Choices(const Arguments& arguments) : arguments_(arguments) {}
+
+  Result<void> add(const ToolDevice& device, const std::string& path, const Sandwich& sandwich) {
+    SHALE_TRY(players_.emplace_back(), Player::create(device, sandwich.package));
+    paths_.push_back(path);
+    return {};
+  }
+
+  /// A factor a line.
+  Result<void> read_load() {
+    SHALE_TRY(const std::string text, read_text(arguments_.load));
+    std::istringstream lines(text);
+    size_t number = 0;
+    for (std::string line; std::getline(lines, line);) {
+      ++number;
+      double factor = 0;
+      const auto [end, status] = std::from_chars(line.data(), line.data() + line.size(), factor);
+      if (status != std::errc() || end != line.data() + line.size() ||
+          !(factor > 0 && factor <= 1000))
+        return bad_input(arguments_.load,
+                         "line {} is \"{}\", expected a factor of more than 0, up to 1000", number,
+                         one_line(line.substr(0, 40)));
+      load_.push_back(factor);
+    }
+    if (load_.empty()) return bad_input(arguments_.load, "is empty, expected a factor a line");
+    return {};
+  }
+
+  const Arguments& arguments_;
+  std::vector<std::string> paths_;
+  std::vector<std::unique_ptr<Player>> players_;
+  std::optional<FrameBudget> budget_;
+  std::vector<double> load_;
+  size_t now_ = 0, frames_ = 0, within_ = 0, switches_ = 0;
+};
 
 /// Where the results go: by frame, and claimed before the first is played.
 struct Paths {
@@ -282,7 +397,8 @@ Result<int> play(const Arguments& arguments) {
   Json json{{"device", device.context().caps.name}, {"frames", Json::array()}};
   int exit = kDone;
   {
-    SHALE_TRY(const std::unique_ptr<Player> player, Player::create(device, sandwich.package));
+    SHALE_TRY(Choices choices, Choices::create(arguments, device, sandwich, compile));
+    Player* player = &choices.next();
     const bool to_exr = writes_exr(arguments);
     if (to_exr && player->is_display())
       return bad_input("--format", "exr holds linear colours, {} shows those of a display",
@@ -296,11 +412,17 @@ Result<int> play(const Arguments& arguments) {
       SHALE_TRY(SourceFrame frame, source->frame(i, false));
       if (i == 0 && arguments.profile)
         if (Result<void> warm = player->warm_up(frame); !warm) return in_file(label, warm.error());
+      if (i == 0)
+        if (Result<void> costs = choices.measure(frame); !costs) return costs.error();
+      player = &choices.next();
       std::vector<DispatchTime> times;
-      std::vector<DispatchTime>* const wanted = arguments.profile ? &times : nullptr;
+      std::vector<DispatchTime>* const wanted =
+          arguments.profile || arguments.budget_ms > 0 ? &times : nullptr;
       Result<FloatImage> played =
           is_sequence && !to_exr ? player->show(frame, wanted) : player->play(frame, wanted);
       if (!played) return in_file(label, played.error());
+      Json timed = Json::object();
+      choices.add(times, timed);
       if (arguments.profile) measured.push_back(std::move(times));
       const std::string& output = paths.results[i];
       if (to_exr) {
@@ -311,6 +433,7 @@ Result<int> play(const Arguments& arguments) {
       if (!to_exr) SHALE_TRY_VOID(save_png(output, result));
       Json entry{
           {"input", label}, {"output", output}, {"width", result.width}, {"height", result.height}};
+      entry.update(timed);
       if (!arguments.animation.empty()) shown.push_back(encode_png(result));
       if (!arguments.debug_view.empty()) {
         SHALE_TRY(std::vector<Panel> panels, player->views());
@@ -323,9 +446,8 @@ Result<int> play(const Arguments& arguments) {
       }
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
-        const size_t which = sandwich.graphs.size() > 1 ? player->program() : 0;
         SHALE_TRY(const std::optional<std::string> difference,
-                  check(*player, sandwich.graphs[which]));
+                  network_difference(*player, sandwich.graphs));
         entry["network"] = difference ? *difference : "equals the interpreter";
         if (difference) exit = kRefused;
       }
@@ -348,6 +470,7 @@ Result<int> play(const Arguments& arguments) {
       if (!progress.step(i, arguments.repeat)) return bad_input("", "interrupted");
       SHALE_TRY_VOID(player->run(&measured.emplace_back()));
     }
+    if (arguments.budget_ms > 0) json["budget"] = choices.summary();
   }
   source.reset();  // before the device
   SHALE_TRY_VOID(device.close());
@@ -387,8 +510,9 @@ Action add_play(CLI::App& app) {
                  "folder for a mosaic of the intermediate images of each frame");
   app.add_option("--dump", arguments->dump,
                  "folder for every image and tensor of each frame, FRAME.NAME.npy");
-  app.add_flag("--check", arguments->check,
-               "compare the network of each frame bit for bit with the reference interpreter");
+  CLI::Option* check =
+      app.add_flag("--check", arguments->check,
+                   "compare the network of each frame bit for bit with the reference interpreter");
   app.add_option("--compare", arguments->compare,
                  "also write input, nearest, Lanczos and result of the first frame side by side");
   app.add_option("--crop", arguments->crop,
@@ -403,6 +527,24 @@ Action add_play(CLI::App& app) {
                  "print the times of so many runs of the last frame, one after the other")
       ->check(CLI::Range(1, 10000))
       ->needs(profile);
+  CLI::Option* budget =
+      app.add_option(
+             "--budget", arguments->budget_ms,
+             "milliseconds a frame may take: cheaper sandwiches step in where it does not hold")
+          ->check(number_in(1e-3, 1e6))
+          ->excludes(profile)
+          ->excludes(check);
+  app.add_option("--or", arguments->others,
+                 "a cheaper sandwich for --budget (again for more, the cheapest last)")
+      ->needs(budget);
+  app.add_option(
+         "--load", arguments->load,
+         "recorded load for --budget: a file with a factor on times for each frame, a line each")
+      ->needs(budget);
+  app.add_option("--shown-rate", arguments->shown_rate,
+                 "frames a second, for the times of --budget (default 60)")
+      ->check(number_in(1, 1000))
+      ->needs(budget);
   arguments->compile.add_to(app, &arguments->device);
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
@@ -411,6 +553,9 @@ Action add_play(CLI::App& app) {
       "8 "
       "--profile\n"
       "Example: shale play models/baselines/tss -i thin -o frames --format exr\n"
+      "Example: shale play models/nss_v1_high -i models/scenes/test/motion.json -o frames --budget "
+      "90 --or models/nss_v1_low "
+      "--or models/baselines/bilinear\n"
       "Example: shale play models/srpo_x2 -i models/pictures/raster_lr.png -o result.png --compare "
       "panels.png");
   return [arguments] { return play(*arguments); };

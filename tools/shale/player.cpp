@@ -61,7 +61,8 @@ void write_channel(uint8_t* texel, ImageFormat format, uint32_t channel, float v
     case ImageFormat::kRgba8Unorm:
     case ImageFormat::kRg8Unorm:
     case ImageFormat::kR8Unorm:
-      store(static_cast<uint8_t>(std::lround(std::clamp(value, 0.0f, 1.0f) * 255)));
+      // NaN is 0.
+      store(static_cast<uint8_t>(value > 0 ? std::lround(std::min(value, 1.0f) * 255) : 0));
       break;
     case ImageFormat::kRgba16Float:
     case ImageFormat::kRg16Float:
@@ -471,6 +472,28 @@ Result<std::vector<Panel>> Player::views() const {
     panels.push_back({view.title, std::move(picture)});
   }
   return panels;
+}
+
+Result<std::optional<std::string>> network_difference(const Player& player,
+                                                      const std::vector<Graph>& graphs) {
+  const std::vector<const Resource*> results = tensors_of(player.variant(), Category::kOutput);
+  std::vector<Tensor> inputs, outputs;
+  for (const Resource* resource : tensors_of(player.variant(), Category::kInput)) {
+    SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));
+    inputs.push_back(std::move(tensor));
+  }
+  for (const Resource* resource : results) {
+    SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));
+    outputs.push_back(std::move(tensor));
+  }
+  const Graph& graph = graphs[graphs.size() > 1 ? player.program() : 0];
+  SHALE_TRY(
+      const std::vector<OutputCheck> checks,
+      check_outputs(graph, inputs, outputs, [](uint32_t, uint32_t) { return !interrupted(); }));
+  for (size_t i = 0; i < outputs.size(); ++i)
+    if (checks[i].difference)
+      return std::optional("output \"" + results[i]->name + "\": " + *checks[i].difference);
+  return std::optional<std::string>();
 }
 
 }  // namespace shale

@@ -112,6 +112,12 @@ class Player {
   std::string compiles_;  ///< what the first frame waits for; empty after it
 };
 
+/// The network's outputs of the last frame against the interpreter's, from the same inputs: what differs first, or
+/// nothing. `graphs` are a Sandwich's, at least one.
+/// Errors: as check_outputs and Player::read_tensor; kBadInput if the user interrupts.
+Result<std::optional<std::string>> network_difference(const Player& player,
+                                                      const std::vector<Graph>& graphs);
+
 /// Texels of an image, as they lie in a buffer, to floats and back. `channels` of `from` that a
 /// format lacks are dropped; what it lacks itself is 0, alpha 1.
 FloatImage unpack_texels(std::span<const uint8_t> bytes, ImageFormat format, Extent extent);

@@ -110,7 +110,10 @@ F4 catmull_rom(const F4* image, int w, int h, float px, float py) {
     high = maximum(high, taps[i]);
   }
   sum /= splat(total);
-  return std::min(std::min(sum[0], sum[1]), sum[2]) < 0.0f ? minimum(maximum(sum, low), high) : sum;
+  constexpr float kNoOvershoot = 0.875f;  // shaders/include/color.glsl
+  const bool beyond = std::min(std::min(sum[0], sum[1]), sum[2]) < 0.0f ||
+                      std::max(std::max(sum[0], sum[1]), sum[2]) > kNoOvershoot;
+  return beyond ? minimum(maximum(sum, low), high) : sum;
 }
 
 }  // namespace

@@ -710,6 +710,9 @@ def upsample(image: torch.Tensor, size: tuple[int, int], output: tuple[int, int]
 # ---- history ----------------------------------------------------------------------------------------------
 
 
+NO_OVERSHOOT = 0.875  # kNoOvershoot of shaders/include/color.glsl
+
+
 def _catmull_rom(image: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
     """Five-tap Catmull-Rom without corners, with dering (3.1)."""
     h, w = image.shape[2:]
@@ -736,7 +739,7 @@ def _catmull_rom(image: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
         result = result + tap * weight
         total = total + weight
     result = result / total
-    n, y, x = (result < 0).any(1).nonzero(as_tuple=True)
+    n, y, x = ((result < 0) | (result > NO_OVERSHOOT)).any(1).nonzero(as_tuple=True)
     if len(n):  # few pixels
         near = torch.stack([tap[n, :, y, x] for tap in taps])
         result[n, :, y, x] = torch.minimum(torch.maximum(result[n, :, y, x], near.amin(0)), near.amax(0))

@@ -84,6 +84,8 @@ struct SpirvWriteOptions {
   /// Weights, biases, tables and other tensor operands become graph constants. Attributes, shapes,
   /// zero points, multipliers and shifts stay inline.
   bool external_constants = false;
+  /// False writes what breaks TOSA's rules too, as far as it has a form: to try readers with.
+  bool verified = true;
 };
 
 /// Writes SPIR-V 1.5 with one graph. Binding i of set 0 is input i; outputs follow the inputs.

@@ -358,7 +358,7 @@ class Writer {
 }  // namespace spirv_graph
 
 Result<SpirvGraphModule> write_spirv_graph(const Graph& graph, const SpirvWriteOptions& options) {
-  SHALE_TRY_VOID(verify(graph, OpenSizes::kAllowed));
+  if (options.verified) SHALE_TRY_VOID(verify(graph, OpenSizes::kAllowed));
   for (uint32_t i = 0; i < graph.nodes.size(); ++i)
     if (const Node& node = graph.nodes[i];
         node.op == Op::kArgmax && graph.value(node.output).type.shape.empty() &&

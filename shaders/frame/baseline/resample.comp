@@ -2,7 +2,7 @@
 //
 // One invocation per output pixel. The filter looks at where the samples lie, so the jitter does not shake the picture.
 // It works on exposed colours in the Karis domain, where a highlight weighs what a display shows of it; what the
-// negative lobes leave below 0 is 0. FILTER: 0 nearest, 1 bilinear, 2 Catmull-Rom (Keys, a = -1/2), 3 Lanczos with
+// negative lobes leave below 0 is 0, and a light above kNoOvershoot is none of their making. FILTER: 0 nearest, 1 bilinear, 2 Catmull-Rom (Keys, a = -1/2), 3 Lanczos with
 // three lobes, weights normalized. Borders are clamped. Enlarging only, so the filters are as wide as render texels.
 #version 450
 #include "access.glsl"
@@ -41,17 +41,20 @@ void main() {
 #else
   const vec2 base = floor(scene - 0.5);
   const vec2 part = scene - 0.5 - base;
-  vec3 sum = vec3(0.0);
+  vec3 sum = vec3(0.0), high = vec3(0.0);
   float total = 0.0;
   [[unroll]] for (int y = 1 - kRadius; y <= kRadius; ++y) {
     const float wy = weight(float(y) - part.y);
     [[unroll]] for (int x = 1 - kRadius; x <= kRadius; ++x) {
       const float w = wy * weight(float(x) - part.x);
-      sum += w * texel(ivec2(base) + ivec2(x, y));
+      const vec3 t = texel(ivec2(base) + ivec2(x, y));
+      sum += w * t;
+      high = most(high, t);
       total += w;
     }
   }
-  const vec3 result = max(sum / total, 0.0);
+  const vec3 filtered = max(sum / total, 0.0);
+  const vec3 result = any(greaterThan(filtered, vec3(kNoOvershoot))) ? least(filtered, high) : filtered;
 #endif
   store_output(at, half4(min(karis_inverse(result) / params.exposure, kMaxColor)));
 }

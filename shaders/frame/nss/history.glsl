@@ -24,12 +24,13 @@ CatmullRom catmull_rom(vec2 f) {
   return w;
 }
 
-/// The five taps as one, in 0..1. Where a channel comes out negative, all are clamped to the taps.
+/// The five taps as one, in 0..1. Where a channel comes out negative or above kNoOvershoot, all are clamped to the taps.
 vec3 combine(CatmullRom w, vec3 centre, vec3 left, vec3 right, vec3 up, vec3 down) {
   const vec3 sum = w.centre * centre + w.left * left + w.right * right + w.up * up + w.down * down;
   const vec3 low = least(centre, least(least(left, right), least(up, down)));
   const vec3 high = most(centre, most(most(left, right), most(up, down)));
-  const vec3 kept = any(lessThan(sum, vec3(0.0))) ? least(most(sum, low), high) : sum;
+  const bool beyond = any(lessThan(sum, vec3(0.0))) || any(greaterThan(sum, vec3(kNoOvershoot)));
+  const vec3 kept = beyond ? least(most(sum, low), high) : sum;
   return least(most(kept, vec3(0.0)), vec3(1.0));
 }
 

@@ -1,0 +1,181 @@
+#include "tests/layer/layer_fixture.h"
+
+#include <cstring>
+
+#include "compiler/frontend/vgf/formats.h"
+
+namespace shale {
+namespace {
+
+/// Bytes from one index of an axis to the next, with `padding` elements behind each row.
+std::vector<int64_t> strides_of(const TensorType& type, int64_t padding) {
+  std::vector<int64_t> strides(type.shape.size());
+  int64_t next = dtype_info(type.dtype).host_bytes;
+  for (size_t i = strides.size(); i-- > 0;) {
+    strides[i] = next;
+    next *= type.shape[i];
+    if (i + 1 == strides.size()) next += padding * dtype_info(type.dtype).host_bytes;
+  }
+  return strides;
+}
+
+/// Calls copy(bytes of a row in packed data, in the tensor) for each row.
+template <typename Copy>
+void for_each_row(const TensorType& type, const std::vector<int64_t>& strides, const Copy& copy) {
+  const int64_t row = type.shape.back() * dtype_info(type.dtype).host_bytes;
+  const int64_t rows = *element_count(type.shape) / type.shape.back();
+  for (int64_t i = 0; i < rows; ++i) {
+    int64_t rest = i, at = 0;
+    for (size_t axis = type.shape.size() - 1; axis-- > 0;) {
+      at += rest % type.shape[axis] * strides[axis];
+      rest /= type.shape[axis];
+    }
+    copy(i * row, at, row);
+  }
+}
+
+/// Tensors of the API have an axis at least; a scalar has one of size 1.
+TensorType api_type(TensorType type) {
+  if (type.shape.empty()) type.shape = {1};
+  if (type.dtype == DType::kInt4) type.dtype = DType::kInt8;
+  return type;
+}
+
+}  // namespace
+
+void ClientRun::destroy() {
+  if (!client_) return;
+  for (ClientTensor& tensor : tensors) client_destroy_tensor(client_, &tensor);
+  tensors.clear();
+  client_destroy_graph(client_, &graph);
+  client_ = nullptr;
+}
+
+VkResult ClientRun::create(const Client& client, const Graph& source, const GraphOptions& options) {
+  const auto module = write_spirv_graph(source, {.external_constants = options.external_constants});
+  EXPECT_TRUE(module) << module.error().text();
+  return module ? create(client, source, *module, options) : VK_ERROR_UNKNOWN;
+}
+
+VkResult ClientRun::create(const Client& client, const Graph& source,
+                           const SpirvGraphModule& module, const GraphOptions& options) {
+  client_ = &client;
+  input_count_ = source.inputs.size();
+  for (const auto* ids : {&source.inputs, &source.outputs})
+    for (const ValueId id : *ids) types_.push_back(api_type(source.value(id).type));
+  std::vector<const VkTensorDescriptionARM*> descriptions;
+  tensors.reserve(types_.size());
+  for (const TensorType& type : types_) {
+    const std::vector<int64_t> strides = strides_of(type, options.padding);
+    ClientTensor tensor;
+    const VkResult result = client_create_tensor(
+        client_, static_cast<VkFormat>(vk_format_of_dtype(type.dtype)), options.tiling,
+        static_cast<uint32_t>(type.shape.size()), type.shape.data(),
+        options.padding > 0 ? strides.data() : nullptr, &tensor);
+    if (result != VK_SUCCESS) return result;
+    ClientTensor& kept = tensors.emplace_back(tensor);
+    kept.description.pDimensions = kept.dims;
+    if (kept.description.pStrides) kept.description.pStrides = kept.strides;
+    descriptions.push_back(&kept.description);
+  }
+  std::vector<TensorType> constant_types;
+  std::vector<VkTensorDescriptionARM> constant_descriptions;
+  for (const Tensor& constant : module.constants) constant_types.push_back(api_type(constant.type));
+  for (const TensorType& type : constant_types) {
+    VkTensorDescriptionARM& description = constant_descriptions.emplace_back();
+    description.sType = VK_STRUCTURE_TYPE_TENSOR_DESCRIPTION_ARM;
+    description.tiling = VK_TENSOR_TILING_LINEAR_ARM;
+    description.format = static_cast<VkFormat>(vk_format_of_dtype(type.dtype));
+    description.dimensionCount = static_cast<uint32_t>(type.shape.size());
+    description.pDimensions = type.shape.data();
+    description.usage = VK_TENSOR_USAGE_DATA_GRAPH_BIT_ARM;
+  }
+  std::vector<ClientConstant> constants;
+  for (uint32_t i = 0; i < module.constants.size(); ++i)
+    constants.push_back({i, &constant_descriptions[i], module.constants[i].bytes.data()});
+  ClientGraphInfo info{};
+  info.words = module.words.data();
+  info.word_count = module.words.size();
+  info.entry_point = module.entry_point.c_str();
+  info.tensor_count = static_cast<uint32_t>(descriptions.size());
+  info.descriptions = descriptions.data();
+  info.constant_count = static_cast<uint32_t>(constants.size());
+  info.constants = constants.data();
+  info.flags = options.flags;
+  info.cache = options.cache;
+  info.next = options.next;
+  const VkResult result = client_create_graph(client_, &info, &graph);
+  if (result != VK_SUCCESS) return result;
+  std::vector<VkTensorViewARM> views;
+  for (const ClientTensor& tensor : tensors) views.push_back(tensor.view);
+  client_write_set(client_, &graph, static_cast<uint32_t>(views.size()), views.data());
+  return VK_SUCCESS;
+}
+
+void ClientRun::write(const std::vector<Tensor>& inputs) {
+  ASSERT_EQ(inputs.size(), input_count_);
+  for (size_t i = 0; i < inputs.size(); ++i) {
+    const ClientTensor& tensor = tensors[i];
+    auto* mapped = static_cast<uint8_t*>(tensor.mapped);
+    if (!tensor.description.pStrides) {
+      std::memcpy(mapped, inputs[i].bytes.data(), inputs[i].bytes.size());
+      continue;
+    }
+    for_each_row(types_[i], {tensor.strides, tensor.strides + types_[i].shape.size()},
+                 [&](int64_t packed, int64_t at, int64_t bytes) {
+                   std::memcpy(mapped + at, &inputs[i].bytes[static_cast<size_t>(packed)],
+                               static_cast<size_t>(bytes));
+                 });
+  }
+}
+
+VkResult ClientRun::submit() {
+  return client_submit(
+      client_,
+      [](VkCommandBuffer commands, void* self) {
+        const auto* run = static_cast<const ClientRun*>(self);
+        client_record_graph(run->client_, commands, &run->graph);
+      },
+      this);
+}
+
+std::vector<Tensor> ClientRun::read() const {
+  std::vector<Tensor> outputs;
+  for (size_t i = input_count_; i < tensors.size(); ++i) {
+    const ClientTensor& tensor = tensors[i];
+    const auto* mapped = static_cast<const uint8_t*>(tensor.mapped);
+    Tensor output = Tensor::zeros(types_[i]);
+    if (!tensor.description.pStrides)
+      std::memcpy(output.bytes.data(), mapped, output.bytes.size());
+    else
+      for_each_row(types_[i], {tensor.strides, tensor.strides + types_[i].shape.size()},
+                   [&](int64_t packed, int64_t at, int64_t bytes) {
+                     std::memcpy(&output.bytes[static_cast<size_t>(packed)], mapped + at,
+                                 static_cast<size_t>(bytes));
+                   });
+    outputs.push_back(std::move(output));
+  }
+  return outputs;
+}
+
+std::vector<Tensor> ClientRun::run(const std::vector<Tensor>& inputs) {
+  write(inputs);
+  EXPECT_EQ(submit(), VK_SUCCESS) << client_->last_message;
+  return read();
+}
+
+void LayerTest::SetUp() {
+  const VkResult result = client_open(&client, nullptr);
+  if (result == VK_ERROR_INCOMPATIBLE_DRIVER) GTEST_SKIP() << "there is no Vulkan device";
+  ASSERT_EQ(result, VK_SUCCESS);
+  is_open = true;
+}
+
+void LayerTest::TearDown() {
+  if (!is_open) return;
+  EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
+  client_close(&client);
+  EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
+}
+
+}  // namespace shale

@@ -1,0 +1,62 @@
+// tests/layer/layer_fixture.h -- Shale's graphs given to the client as SPIR-V, and results back.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+#include "compiler/frontend/spirv_graph/spirv_graph.h"
+#include "ir/graph/graph.h"
+#include "tests/layer/client.h"
+
+namespace shale {
+
+struct GraphOptions {
+  bool external_constants = true;
+  VkTensorTilingARM tiling = VK_TENSOR_TILING_LINEAR_ARM;
+  int64_t padding = 0;  ///< elements behind each row of inputs and outputs; 0 gives no strides
+  VkPipelineCreateFlags2 flags = 0;
+  VkPipelineCache cache = VK_NULL_HANDLE;
+  void* next = nullptr;
+};
+
+/// A graph in the client's hands: module, pipeline, session, and a tensor for each input and output.
+class ClientRun {
+ public:
+  ClientRun() = default;
+  ClientRun(const ClientRun&) = delete;
+  ClientRun& operator=(const ClientRun&) = delete;
+  ~ClientRun() { destroy(); }
+  /// Before the client is closed.
+  void destroy();
+
+  VkResult create(const Client& client, const Graph& graph, const GraphOptions& options = {});
+  VkResult create(const Client& client, const Graph& graph, const SpirvGraphModule& module,
+                  const GraphOptions& options);
+  void write(const std::vector<Tensor>& inputs);
+  VkResult submit();
+  std::vector<Tensor> read() const;
+  /// All in one; stops the test where something fails.
+  std::vector<Tensor> run(const std::vector<Tensor>& inputs);
+
+  ClientGraph graph{};
+  std::vector<ClientTensor> tensors;  ///< inputs, then outputs
+
+ private:
+  const Client* client_ = nullptr;
+  std::vector<TensorType> types_;
+  size_t input_count_ = 0;
+};
+
+/// A client per test; skips without a device, fails where validation has spoken.
+class LayerTest : public testing::Test {
+ protected:
+  void SetUp() override;
+  void TearDown() override;
+
+  Client client{};
+  bool is_open = false;
+};
+
+}  // namespace shale

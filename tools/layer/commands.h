@@ -1,0 +1,35 @@
+// tools/layer/commands.h -- what the layer keeps of a command buffer that is being recorded.
+#pragma once
+
+#include <functional>
+
+#include "tools/layer/descriptors.h"
+
+namespace shale::layer {
+
+/// Commands of the application that change what compute shaders see, to be recorded again after the
+/// layer's own.
+struct CommandState {
+  struct Bound {
+    uint32_t first = 0, count = 0;  ///< sets
+    std::function<void(VkCommandBuffer)> again;
+    std::shared_ptr<void> pushed = nullptr;  ///< descriptors, if they were pushed
+  };
+  VkPipeline compute = VK_NULL_HANDLE;
+  std::function<void(VkCommandBuffer)> descriptor_buffers;
+  std::vector<Bound> compute_sets;  ///< in the order in which they were bound
+  GraphPipeline* graph = nullptr;
+  std::map<uint32_t, std::shared_ptr<Set>> graph_sets;
+  std::map<uint32_t, std::shared_ptr<Set>> pushed_graph_sets;  ///< those made by pushes
+  VkResult failed = VK_SUCCESS;  ///< what ending the recording answers
+
+  void bind_sets(uint32_t first, uint32_t count, std::function<void(VkCommandBuffer)> again);
+  /// Records what is bound to compute once more.
+  void restore(const Device& device, VkCommandBuffer commands) const;
+};
+
+/// Runs a command's work; an error is reported, and vkEndCommandBuffer will fail.
+void record_guarded(VkCommandBuffer commands,
+                    const std::function<Result<void>(Device&)>& work) noexcept;
+
+}  // namespace shale::layer

@@ -1,0 +1,84 @@
+// tools/layer/descriptors.h -- descriptors of tensors, which only the layer knows.
+//
+// Graphs get sets of their own: what a set's tensor descriptors hold is kept here, beside the device's set.
+// There a binding of tensors has the buffers that shaders see (tensor_shader.h), or none if no shader may.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <span>
+
+#include "tools/layer/tensor.h"
+
+namespace shale::layer {
+
+struct SetLayout {
+  struct Binding {
+    VkDescriptorType type = VK_DESCRIPTOR_TYPE_SAMPLER;
+    uint32_t count = 0;
+  };
+  std::map<uint32_t, Binding> bindings;  ///< by number
+  bool has_tensors = false;
+};
+
+struct PipelineLayout {
+  std::vector<std::shared_ptr<SetLayout>> sets;
+  bool has_push_constants = false;
+};
+
+/// The tensor descriptors of a set; null where none was written.
+struct Set {
+  std::map<uint32_t, std::vector<const Tensor*>> tensors;  ///< by binding, then element
+
+  Set() = default;
+  explicit Set(const SetLayout& layout);
+};
+
+struct Pool {
+  std::mutex mutex;
+  std::set<VkDescriptorSet> sets;  ///< those with tensors
+};
+
+struct UpdateTemplate {
+  std::vector<VkDescriptorUpdateTemplateEntry> entries;
+  VkPipelineBindPoint point = VK_PIPELINE_BIND_POINT_COMPUTE;  ///< of one that pushes
+  VkDescriptorUpdateTemplate below = VK_NULL_HANDLE;  ///< null where tensors are among the entries
+};
+
+/// Writes as the device below takes them, and those of tensors into `set_of(write)`, which may answer
+/// null. Consecutive bindings are filled as Vulkan has it. Of layouts only those that the device knows are
+/// left.
+class SplitWrites {
+ public:
+  using SetOf = std::function<Set*(const VkWriteDescriptorSet&)>;
+  SplitWrites(std::span<const VkWriteDescriptorSet> writes, const SetOf& set_of);
+  std::span<const VkWriteDescriptorSet> below() const { return below_; }
+
+ private:
+  void translate_layouts(VkWriteDescriptorSet& write);
+
+  std::vector<VkWriteDescriptorSet> below_;
+  std::vector<std::vector<VkDescriptorImageInfo>> images_;
+  std::vector<std::vector<VkDescriptorBufferInfo>> buffers_;
+};
+
+/// The writes that a template stands for, with the data at `data`.
+class TemplateWrites {
+ public:
+  TemplateWrites(const UpdateTemplate& update, VkDescriptorSet set, const void* data);
+  std::span<const VkWriteDescriptorSet> writes() const { return writes_; }
+
+ private:
+  template <typename T>
+  const T* gather(std::vector<std::vector<T>>& lists, const VkDescriptorUpdateTemplateEntry& entry,
+                  const void* data);
+  std::vector<VkWriteDescriptorSet> writes_;
+  std::vector<std::vector<VkDescriptorImageInfo>> images_;
+  std::vector<std::vector<VkDescriptorBufferInfo>> buffers_;
+  std::vector<std::vector<VkBufferView>> texels_;
+  std::vector<std::vector<VkTensorViewARM>> views_;
+  std::vector<std::unique_ptr<VkWriteDescriptorSetTensorARM>> tensors_;
+  std::vector<std::unique_ptr<VkWriteDescriptorSetInlineUniformBlock>> inlines_;
+};
+
+}  // namespace shale::layer

@@ -1,0 +1,79 @@
+// tools/layer/graph.h -- pipelines and sessions of VK_ARM_data_graph, over the compiler and the
+// runtime.
+#pragma once
+
+#include <array>
+#include <span>
+
+#include "ir/package/package.h"
+#include "runtime/datagraph/pipeline.h"
+#include "runtime/datagraph/session.h"
+#include "tools/layer/commands.h"
+#include "tools/layer/tensor.h"
+
+namespace shale::layer {
+
+/// Names a pipeline's package in caches.
+using Identifier = std::array<uint8_t, 16>;
+
+/// A shader module with graphs, which never reaches the device.
+struct GraphModule {
+  std::vector<uint32_t> words;
+};
+
+/// What the layer keeps beside a pipeline cache of the device.
+struct GraphCache {
+  std::mutex mutex;
+  std::map<Identifier, std::shared_ptr<const std::vector<uint8_t>>> packages;  ///< `.shale` files
+};
+
+/// An input or output of a graph: where its descriptor is, and what the application said of it.
+struct GraphTensor {
+  uint32_t set = 0, binding = 0, element = 0;
+  std::string resource;  ///< in the package
+  TensorLayout layout;
+  bool is_input = false;
+};
+
+struct GraphPipeline {
+  DataGraphPipeline pipeline;
+  std::vector<GraphTensor> tensors;
+  Identifier identifier{};
+  std::string log;
+};
+
+struct GraphSession {
+  GraphSession(Device& own_device, const GraphPipeline& own_pipeline)
+      : device(own_device), pipeline(own_pipeline) {}
+
+  /// The graph recorded for certain tensors; what is recorded stays as it is, so that every recording
+  /// may be submitted as often as the application likes.
+  struct Recording {
+    std::vector<uint64_t> tensors;  ///< ids, in the order of GraphPipeline::tensors
+    Session session;
+  };
+  /// A packed copy of a tensor that is not, in the session's memory.
+  struct Staging {
+    vk::BufferHandle buffer;  ///< empty where the tensor is packed
+    uint64_t offset = 0;
+  };
+
+  Device& device;
+  const GraphPipeline& pipeline;
+  VkMemoryRequirements requirements{};
+  VkDeviceMemory memory = VK_NULL_HANDLE;
+  uint64_t memory_offset = 0;
+  vk::BufferHandle placeholder;  ///< asks for memory where nothing else does
+  std::vector<Staging> staging;  ///< as GraphPipeline::tensors
+  std::mutex mutex;              ///< of what follows
+  std::vector<Recording> recordings;
+  std::optional<Session> spare;  ///< told the requirements; becomes the first recording
+};
+
+/// Drops the recordings that use the tensor: it is about to be destroyed.
+void forget_tensor(Device& device, uint64_t id);
+
+/// True for modules with the capability of graphs.
+bool has_graphs(std::span<const uint32_t> words);
+
+}  // namespace shale::layer

@@ -1,0 +1,284 @@
+// Sessions of graph pipelines, and their dispatch.
+#include <algorithm>
+
+#include "runtime/vk/commands.h"
+#include "tools/layer/chain.h"
+#include "tools/layer/graph.h"
+
+namespace shale::layer {
+namespace {
+
+GraphSession* session_of(VkDataGraphPipelineSessionARM handle) {
+  return reinterpret_cast<GraphSession*>(handle);
+}
+
+/// Adds a buffer of `bytes` to what the session asks for; gives its place in the session's memory.
+Result<uint64_t> add_buffer(GraphSession& session, uint64_t bytes, vk::BufferHandle& buffer) {
+  const vk::Context& context = *session.device.context;
+  auto info = vk::init<VkBufferCreateInfo>(VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO);
+  info.size = (bytes + 3) / 4 * 4;
+  info.usage = kTensorUsage;
+  SHALE_TRY(buffer, vk::make(context.vk.CreateBuffer, context.vk.DestroyBuffer, "vkCreateBuffer",
+                             context.device, info));
+  VkMemoryRequirements needs;
+  context.vk.GetBufferMemoryRequirements(context.device, buffer.get(), &needs);
+  VkMemoryRequirements& all = session.requirements;
+  const uint64_t offset = (all.size + needs.alignment - 1) / needs.alignment * needs.alignment;
+  all.size = offset + needs.size;
+  all.alignment = std::max(all.alignment, needs.alignment);
+  all.memoryTypeBits &= needs.memoryTypeBits;
+  return offset;
+}
+
+/// The arena lies at the session's offset 0, packed copies of tensors behind it.
+Result<void> find_requirements(GraphSession& session) {
+  session.requirements = {0, 1, ~0u};
+  SHALE_TRY(session.spare, Session::create(session.pipeline.pipeline));
+  for (const BindPoint& point : session.spare->memory_requirements())
+    session.requirements = point.memory;
+  for (const GraphTensor& tensor : session.pipeline.tensors) {
+    GraphSession::Staging& staging = session.staging.emplace_back();
+    if (tensor.layout.packed) continue;
+    SHALE_TRY(
+        staging.offset,
+        add_buffer(session, tensor.layout.elements() * tensor_element_bytes(tensor.layout.format),
+                   staging.buffer));
+  }
+  // A session always has its transient memory: applications count on it.
+  if (session.requirements.size == 0)
+    SHALE_TRY_VOID(add_buffer(session, kBufferAlignment, session.placeholder));
+  return {};
+}
+
+Result<void> bind_memory(GraphSession& session, VkDeviceMemory memory, uint64_t offset) {
+  const vk::Context& context = *session.device.context;
+  if (session.memory != VK_NULL_HANDLE) return bad_input("session", "has its memory already");
+  if (offset % session.requirements.alignment != 0)
+    return bad_input("session", "memory offset {} is no multiple of {}", offset,
+                     session.requirements.alignment);
+  const auto bind = [&](VkBuffer buffer, uint64_t at) {
+    return vk::check(context.vk.BindBufferMemory(context.device, buffer, memory, offset + at),
+                     "vkBindBufferMemory");
+  };
+  if (!session.spare->memory_requirements().empty())
+    SHALE_TRY_VOID(session.spare->bind_memory(memory, offset));
+  for (const GraphSession::Staging& staging : session.staging)
+    if (staging.buffer) SHALE_TRY_VOID(bind(staging.buffer.get(), staging.offset));
+  if (session.placeholder) SHALE_TRY_VOID(bind(session.placeholder.get(), 0));
+  session.memory = memory;
+  session.memory_offset = offset;
+  return {};
+}
+
+/// The tensor that a descriptor of the command buffer holds for an input or output.
+Result<const Tensor*> bound_tensor(const CommandState& state, const GraphTensor& wanted) {
+  const std::string where =
+      fmt::format("set {}, binding {}, element {}", wanted.set, wanted.binding, wanted.element);
+  const auto set = state.graph_sets.find(wanted.set);
+  if (set == state.graph_sets.end() || !set->second)
+    return bad_input(where, "no descriptor set with tensors is bound");
+  const auto binding = set->second->tensors.find(wanted.binding);
+  if (binding == set->second->tensors.end() || wanted.element >= binding->second.size() ||
+      !binding->second[wanted.element])
+    return bad_input(where, "the descriptor holds no tensor");
+  const Tensor* tensor = binding->second[wanted.element];
+  const TensorLayout& layout = tensor->layout;
+  if (layout.dims != wanted.layout.dims || layout.strides != wanted.layout.strides ||
+      tensor_element_bytes(layout.format) != tensor_element_bytes(wanted.layout.format))
+    return bad_input(where, "the tensor's sizes, strides or format are not those of the pipeline");
+  if (!(layout.usage & VK_TENSOR_USAGE_DATA_GRAPH_BIT_ARM))
+    return bad_input(where, "the tensor's usage has no data graph");
+  if (!tensor->bound) return bad_input(where, "the tensor has no memory");
+  return tensor;
+}
+
+/// The session's recording for these tensors, made where there is none.
+Result<Session*> recording_for(GraphSession& session, std::span<const Tensor* const> tensors) {
+  std::vector<uint64_t> ids;
+  for (const Tensor* tensor : tensors) ids.push_back(tensor->id);
+  for (GraphSession::Recording& each : session.recordings)
+    if (each.tensors == ids) return &each.session;
+  std::optional<Session> made = std::exchange(session.spare, std::nullopt);
+  if (!made) {
+    SHALE_TRY(made, Session::create(session.pipeline.pipeline));
+    if (!made->memory_requirements().empty() && session.memory)
+      SHALE_TRY_VOID(made->bind_memory(session.memory, session.memory_offset));
+  }
+  for (size_t i = 0; i < tensors.size(); ++i) {
+    const GraphTensor& wanted = session.pipeline.tensors[i];
+    const GraphSession::Staging& staging = session.staging[i];
+    const VkBuffer buffer = staging.buffer ? staging.buffer.get() : tensors[i]->buffer;
+    const uint64_t bytes = wanted.layout.elements() * tensor_element_bytes(wanted.layout.format);
+    SHALE_TRY_VOID(made->bind_tensor(wanted.resource, {buffer, 0, (bytes + 3) / 4 * 4}));
+  }
+  session.recordings.push_back({std::move(ids), *std::move(made)});
+  return &session.recordings.back().session;
+}
+
+TensorLayout packed_layout(TensorLayout layout) {
+  int64_t next = tensor_element_bytes(layout.format);
+  for (size_t i = layout.dims.size(); i-- > 0; next *= layout.dims[i]) layout.strides[i] = next;
+  return layout;
+}
+
+/// Copies of all tensors that are not packed, into the session's memory or back.
+void record_staging(const GraphSession& session, VkCommandBuffer commands,
+                    std::span<const Tensor* const> tensors, bool inputs) {
+  for (size_t i = 0; i < tensors.size(); ++i) {
+    const GraphTensor& wanted = session.pipeline.tensors[i];
+    const VkBuffer staging = session.staging[i].buffer.get();
+    if (!staging || wanted.is_input != inputs) continue;
+    const TensorLayout& layout = tensors[i]->layout;
+    if (inputs)
+      record_copy(session.device, commands, tensors[i]->buffer, layout, staging,
+                  packed_layout(layout));
+    else
+      record_copy(session.device, commands, staging, packed_layout(layout), tensors[i]->buffer,
+                  layout);
+  }
+}
+
+Result<void> dispatch(Device& device, VkCommandBuffer commands, const CommandState& state,
+                      GraphSession& session) {
+  if (!state.graph)
+    return bad_input("vkCmdDispatchDataGraphARM", "no data graph pipeline is bound");
+  if (state.graph != &session.pipeline)
+    return bad_input("vkCmdDispatchDataGraphARM", "the bound pipeline is not the session's");
+  if (!session.memory) return bad_input("vkCmdDispatchDataGraphARM", "the session has no memory");
+  std::vector<const Tensor*> tensors;
+  for (const GraphTensor& wanted : session.pipeline.tensors) {
+    SHALE_TRY(const Tensor* tensor, bound_tensor(state, wanted));
+    tensors.push_back(tensor);
+  }
+  const std::lock_guard lock(session.mutex);
+  SHALE_TRY(Session* const recording, recording_for(session, tensors));
+  // Earlier dispatches of the session may still use its memory: the application's barriers may name
+  // tensors alone.
+  const auto barrier = [&] {
+    constexpr VkPipelineStageFlags kStages =
+        VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT;
+    constexpr VkAccessFlags kWrites = VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
+    vk::memory_barrier(*device.context, commands, kStages, kWrites, kStages,
+                       kWrites | VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_TRANSFER_READ_BIT);
+  };
+  const bool staged = std::any_of(session.staging.begin(), session.staging.end(),
+                                  [](const auto& each) { return static_cast<bool>(each.buffer); });
+  barrier();
+  record_staging(session, commands, tensors, true);
+  if (staged) barrier();
+  const Result<void> recorded = recording->record(commands);
+  if (staged) barrier();
+  record_staging(session, commands, tensors, false);
+  state.restore(device, commands);
+  return recorded;
+}
+
+}  // namespace
+
+void forget_tensor(Device& device, uint64_t id) {
+  const std::lock_guard lock(device.mutex);
+  for (GraphSession* session : device.sessions) {
+    const std::lock_guard own(session->mutex);
+    std::erase_if(session->recordings, [&](const GraphSession::Recording& recording) {
+      return std::find(recording.tensors.begin(), recording.tensors.end(), id) !=
+             recording.tensors.end();
+    });
+  }
+}
+
+VkResult VKAPI_CALL CreateDataGraphPipelineSessionARM(
+    VkDevice handle, const VkDataGraphPipelineSessionCreateInfoARM* info,
+    const VkAllocationCallbacks* allocator, VkDataGraphPipelineSessionARM* result) {
+  return guarded([&]() -> VkResult {
+    Device& device = device_of(handle);
+    *result = VK_NULL_HANDLE;
+    const GraphPipeline* pipeline = device.pipelines.find(info->dataGraphPipeline);
+    if (!pipeline || info->flags != 0)
+      return device.fail(
+          VK_OBJECT_TYPE_PIPELINE, number_of(info->dataGraphPipeline),
+          pipeline
+              ? unsupported("VkDataGraphPipelineSessionCreateInfoARM::flags", "{:#x}", info->flags)
+              : bad_input("vkCreateDataGraphPipelineSessionARM", "is no data graph pipeline"));
+    auto* session = make_object<GraphSession>(allocator, device, *pipeline);
+    if (const Result<void> found = find_requirements(*session); !found) {
+      destroy_object(session, allocator);
+      return device.fail(VK_OBJECT_TYPE_PIPELINE, number_of(info->dataGraphPipeline),
+                         found.error());
+    }
+    const std::lock_guard lock(device.mutex);
+    device.sessions.insert(session);
+    *result = reinterpret_cast<VkDataGraphPipelineSessionARM>(session);
+    return VK_SUCCESS;
+  });
+}
+
+void VKAPI_CALL DestroyDataGraphPipelineSessionARM(VkDevice handle,
+                                                   VkDataGraphPipelineSessionARM which,
+                                                   const VkAllocationCallbacks* allocator) {
+  if (!which) return;
+  guarded_void([&] {
+    Device& device = device_of(handle);
+    GraphSession* session = session_of(which);
+    {
+      const std::lock_guard lock(device.mutex);
+      device.sessions.erase(session);
+    }
+    destroy_object(session, allocator);
+  });
+}
+
+VkResult VKAPI_CALL GetDataGraphPipelineSessionBindPointRequirementsARM(
+    VkDevice, const VkDataGraphPipelineSessionBindPointRequirementsInfoARM*, uint32_t* count,
+    VkDataGraphPipelineSessionBindPointRequirementARM* results) {
+  if (!results) {
+    *count = 1;
+    return VK_SUCCESS;
+  }
+  if (*count == 0) return VK_INCOMPLETE;
+  *count = 1;
+  results->bindPoint = VK_DATA_GRAPH_PIPELINE_SESSION_BIND_POINT_TRANSIENT_ARM;
+  results->bindPointType = VK_DATA_GRAPH_PIPELINE_SESSION_BIND_POINT_TYPE_MEMORY_ARM;
+  results->numObjects = 1;
+  return VK_SUCCESS;
+}
+
+void VKAPI_CALL GetDataGraphPipelineSessionMemoryRequirementsARM(
+    VkDevice, const VkDataGraphPipelineSessionMemoryRequirementsInfoARM* info,
+    VkMemoryRequirements2* result) {
+  if (auto* dedicated = find_in_chain<VkMemoryDedicatedRequirements>(
+          result->pNext, VK_STRUCTURE_TYPE_MEMORY_DEDICATED_REQUIREMENTS))
+    dedicated->prefersDedicatedAllocation = dedicated->requiresDedicatedAllocation = VK_FALSE;
+  result->memoryRequirements = session_of(info->session)->requirements;
+}
+
+VkResult VKAPI_CALL BindDataGraphPipelineSessionMemoryARM(
+    VkDevice handle, uint32_t count, const VkBindDataGraphPipelineSessionMemoryInfoARM* infos) {
+  return guarded([&]() -> VkResult {
+    Device& device = device_of(handle);
+    for (uint32_t i = 0; i < count; ++i) {
+      const VkBindDataGraphPipelineSessionMemoryInfoARM& info = infos[i];
+      Result<void> bound =
+          info.bindPoint == VK_DATA_GRAPH_PIPELINE_SESSION_BIND_POINT_TRANSIENT_ARM &&
+                  info.objectIndex == 0
+              ? bind_memory(*session_of(info.session), info.memory, info.memoryOffset)
+              : bad_input("session", "has no object {} of bind point {}", info.objectIndex,
+                          static_cast<int>(info.bindPoint));
+      if (!bound)
+        return device.fail(VK_OBJECT_TYPE_DATA_GRAPH_PIPELINE_SESSION_ARM, number_of(info.session),
+                           bound.error());
+    }
+    return VK_SUCCESS;
+  });
+}
+
+void VKAPI_CALL CmdDispatchDataGraphARM(VkCommandBuffer commands,
+                                        VkDataGraphPipelineSessionARM session,
+                                        const VkDataGraphPipelineDispatchInfoARM*) {
+  record_guarded(commands, [&](Device& device) -> Result<void> {
+    const auto state = device.commands.find(commands);
+    if (!state) return bad_input("vkCmdDispatchDataGraphARM", "no data graph pipeline is bound");
+    return dispatch(device, commands, *state, *session_of(session));
+  });
+}
+
+}  // namespace shale::layer

@@ -1,0 +1,433 @@
+// What the application is told of a physical device.
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+#include "tools/layer/chain.h"
+#include "tools/layer/extensions.h"
+#include "tools/layer/tensor.h"
+#include "tools/layer/tensor_shader.h"
+
+namespace shale::layer {
+namespace {
+
+struct Offer {
+  const char* name;
+  uint32_t version;
+};
+// Each has a row in the manifest too, or the loader refuses it.
+constexpr Offer kOffers[] = {
+    {VK_ARM_TENSORS_EXTENSION_NAME, VK_ARM_TENSORS_SPEC_VERSION},
+    {VK_ARM_DATA_GRAPH_EXTENSION_NAME, VK_ARM_DATA_GRAPH_SPEC_VERSION},
+    {VK_ARM_DATA_GRAPH_INSTRUCTION_SET_TOSA_EXTENSION_NAME,
+     VK_ARM_DATA_GRAPH_INSTRUCTION_SET_TOSA_SPEC_VERSION},
+};
+
+constexpr VkDataGraphTOSANameQualityARM kProfiles[] = {
+    {"PRO-INT",
+     VK_DATA_GRAPH_TOSA_QUALITY_ACCELERATED_ARM | VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}};
+constexpr VkDataGraphTOSANameQualityARM kTosaExtensions[] = {
+    {"EXT-INT16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
+    {"EXT-INT4", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
+    {"EXT-DOUBLEROUND", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}};
+
+/// The two-call pattern of Vulkan over a list of our own.
+template <typename T, typename Write>
+VkResult enumerate(uint32_t available, uint32_t* count, T* results, const Write& write) {
+  if (!results) {
+    *count = available;
+    return VK_SUCCESS;
+  }
+  const uint32_t written = std::min(*count, available);
+  for (uint32_t i = 0; i < written; ++i) write(results[i], i);
+  *count = written;
+  return written < available ? VK_INCOMPLETE : VK_SUCCESS;
+}
+
+VkResult extensions_below(const Instance& instance, VkPhysicalDevice physical,
+                          std::vector<VkExtensionProperties>& list) {
+  uint32_t count = 0;
+  VkResult result = instance.EnumerateDeviceExtensionProperties(physical, nullptr, &count, nullptr);
+  if (result != VK_SUCCESS) return result;
+  list.resize(count);
+  result = instance.EnumerateDeviceExtensionProperties(physical, nullptr, &count, list.data());
+  list.resize(count);
+  return result;
+}
+
+/// Zeros behind a structure's head.
+template <typename T>
+void clear_body(T& structure) {
+  T zeros{};
+  zeros.sType = structure.sType;
+  zeros.pNext = structure.pNext;
+  structure = zeros;
+}
+
+/// True where the family can run graphs on the layer.
+bool computes(const Physical& physical, uint32_t family) {
+  return physical.serves && family < physical.families.size() &&
+         physical.families[family].queueFlags & VK_QUEUE_COMPUTE_BIT;
+}
+
+void add_graph_bit(const Physical& physical, uint32_t count, VkQueueFamilyProperties* families,
+                   size_t stride) {
+  for (uint32_t i = 0; physical.serves && families && i < count; ++i) {
+    if (families->queueFlags & VK_QUEUE_COMPUTE_BIT)
+      families->queueFlags |= VK_QUEUE_DATA_GRAPH_BIT_ARM;
+    families =
+        reinterpret_cast<VkQueueFamilyProperties*>(reinterpret_cast<char*>(families) + stride);
+  }
+}
+
+/// Tensors in shaders take elements of all sizes that a device below may hold in buffers.
+bool tensor_shaders(const Physical& physical) {
+  const FeatureSet features = physical.caps.features;
+  return features.has(Feature::kStorageBuffer8) && features.has(Feature::kInt8) &&
+         features.has(Feature::kStorageBuffer16);
+}
+
+/// What tensors can do that have that format.
+VkFormatFeatureFlags2 tensor_features(const Physical& physical, VkFormat format,
+                                      VkTensorTilingARM tiling) {
+  const uint32_t element = tensor_element_bytes(format);
+  if (element == 0) return 0;
+  VkFormatFeatureFlags2 features =
+      VK_FORMAT_FEATURE_2_TRANSFER_SRC_BIT | VK_FORMAT_FEATURE_2_TRANSFER_DST_BIT;
+  if (graph_dtype(format) != DType::kUnknown)
+    features |= VK_FORMAT_FEATURE_2_TENSOR_DATA_GRAPH_BIT_ARM;
+  if (tensor_shaders(physical)) features |= VK_FORMAT_FEATURE_2_TENSOR_SHADER_BIT_ARM;
+  if (tiling == VK_TENSOR_TILING_OPTIMAL_ARM && element <= 4 && format != VK_FORMAT_R8_BOOL_ARM)
+    features |= VK_FORMAT_FEATURE_2_TENSOR_IMAGE_ALIASING_BIT_ARM;
+  return features;
+}
+
+}  // namespace
+
+bool offered(const Physical& physical, std::string_view extension) {
+  return physical.serves &&
+         std::any_of(std::begin(kOffers), std::end(kOffers),
+                     [&](const Offer& offer) { return extension == offer.name; });
+}
+
+void fill_features(const Physical& physical, void* chain) {
+  if (auto* tensors = find_in_chain<VkPhysicalDeviceTensorFeaturesARM>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM)) {
+    clear_body(*tensors);
+    tensors->tensorNonPacked = tensors->tensors = VK_TRUE;
+    tensors->shaderTensorAccess = tensor_shaders(physical);
+    tensors->shaderStorageTensorArrayDynamicIndexing =
+        tensors->shaderTensorAccess && physical.dynamic_indexing;
+  }
+  if (auto* graphs = find_in_chain<VkPhysicalDeviceDataGraphFeaturesARM>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM)) {
+    clear_body(*graphs);
+    graphs->dataGraph = graphs->dataGraphShaderModule = VK_TRUE;
+    graphs->dataGraphSpecializationConstants = VK_TRUE;
+  }
+  if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM))
+    buffers->descriptorBufferTensorDescriptors = VK_FALSE;
+}
+
+void fill_properties(const Physical& physical, void* chain) {
+  if (auto* found = find_in_chain<VkPhysicalDeviceTensorPropertiesARM>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_PROPERTIES_ARM)) {
+    constexpr uint64_t kWidestElement = 8;
+    const uint64_t bytes = physical.max_tensor_bytes();
+    VkPhysicalDeviceTensorPropertiesARM& tensors = *found;
+    clear_body(tensors);
+    tensors.maxTensorDimensionCount = kMaxTensorRank;
+    tensors.maxTensorElements = tensors.maxPerDimensionTensorElements = bytes / kWidestElement;
+    tensors.maxTensorStride = static_cast<int64_t>(bytes);
+    tensors.maxTensorSize = bytes;
+    tensors.maxTensorShaderAccessArrayLength = 32;
+    tensors.maxTensorShaderAccessSize = 32 * kWidestElement;
+    tensors.maxDescriptorSetStorageTensors =
+        physical.limits.maxDescriptorSetStorageBuffers / kBuffersOfTensor;
+    tensors.maxPerStageDescriptorSetStorageTensors =
+        physical.limits.maxPerStageDescriptorStorageBuffers / kBuffersOfTensor;
+    tensors.shaderTensorSupportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
+  }
+  if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorPropertiesARM>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_PROPERTIES_ARM))
+    clear_body(*buffers);
+}
+
+const Physical& Instance::physical(VkPhysicalDevice wanted) {
+  const std::lock_guard lock(mutex);
+  std::unique_ptr<Physical>& slot = physicals[wanted];
+  if (slot) return *slot;
+  auto found = std::make_unique<Physical>();
+  found->handle = wanted;
+  std::vector<VkExtensionProperties> extensions;
+  if (functions.GetPhysicalDeviceProperties &&
+      extensions_below(*this, wanted, extensions) == VK_SUCCESS) {
+    VkPhysicalDeviceProperties properties;
+    functions.GetPhysicalDeviceProperties(wanted, &properties);
+    uint32_t count = 0;
+    functions.GetPhysicalDeviceQueueFamilyProperties(wanted, &count, nullptr);
+    found->families.resize(count);
+    functions.GetPhysicalDeviceQueueFamilyProperties(wanted, &count, found->families.data());
+    const bool native = std::any_of(extensions.begin(), extensions.end(), [](const auto& each) {
+      return std::any_of(std::begin(kOffers), std::end(kOffers), [&](const Offer& offer) {
+        return std::strcmp(each.extensionName, offer.name) == 0;
+      });
+    });
+    const bool is_new_enough = properties.apiVersion >= VK_API_VERSION_1_3;
+    found->serves = is_new_enough && !native && vk::choose_queue_family(found->families);
+    found->limits = properties.limits;
+    if (found->serves) {
+      found->caps = vk::snapshot_caps(wanted, functions);
+      VkPhysicalDeviceFeatures2 features{};
+      features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+      functions.GetPhysicalDeviceFeatures2(wanted, &features);
+      found->dynamic_indexing = features.features.shaderStorageBufferArrayDynamicIndexing;
+    }
+  }
+  slot = std::move(found);
+  return *slot;
+}
+
+VkResult VKAPI_CALL EnumerateDeviceExtensionProperties(VkPhysicalDevice physical, const char* layer,
+                                                       uint32_t* count,
+                                                       VkExtensionProperties* results) {
+  return guarded([&]() -> VkResult {
+    const auto instance = instance_of(physical);
+    const bool ours = layer && std::strcmp(layer, "VK_LAYER_SHALE_data_graph") == 0;
+    if (layer && !ours)
+      return instance->EnumerateDeviceExtensionProperties(physical, layer, count, results);
+    std::vector<VkExtensionProperties> list;
+    if (!ours) {
+      const VkResult below = extensions_below(*instance, physical, list);
+      if (below != VK_SUCCESS) return below;
+    }
+    if (instance->physical(physical).serves)
+      for (const Offer& offer : kOffers) {
+        VkExtensionProperties& added = list.emplace_back();
+        std::strncpy(added.extensionName, offer.name, sizeof added.extensionName - 1);
+        added.specVersion = offer.version;
+      }
+    return enumerate(static_cast<uint32_t>(list.size()), count, results,
+                     [&](VkExtensionProperties& result, uint32_t i) { result = list[i]; });
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceFeatures2(VkPhysicalDevice physical,
+                                           VkPhysicalDeviceFeatures2* features) {
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    const Physical& known = instance->physical(physical);
+    const bool serves = known.serves;
+    {
+      std::optional<WithoutLayers> without;
+      if (serves) without.emplace(features);
+      instance->GetPhysicalDeviceFeatures2(physical, features);
+    }
+    if (serves) fill_features(known, features->pNext);
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceProperties2(VkPhysicalDevice physical,
+                                             VkPhysicalDeviceProperties2* properties) {
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    const Physical& known = instance->physical(physical);
+    {
+      std::optional<WithoutLayers> without;
+      if (known.serves) without.emplace(properties);
+      instance->GetPhysicalDeviceProperties2(physical, properties);
+    }
+    if (known.serves) fill_properties(known, properties->pNext);
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceFormatProperties2(VkPhysicalDevice physical, VkFormat format,
+                                                   VkFormatProperties2* properties) {
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    const Physical& known = instance->physical(physical);
+    if (!known.serves) {
+      instance->GetPhysicalDeviceFormatProperties2(physical, format, properties);
+      return;
+    }
+    const bool is_known_below = static_cast<int>(format) / 1000 != 1000460;
+    {
+      const WithoutLayers without(properties);
+      if (is_known_below)
+        instance->GetPhysicalDeviceFormatProperties2(physical, format, properties);
+      else
+        properties->formatProperties = {};
+    }
+    if (auto* tensors = find_in_chain<VkTensorFormatPropertiesARM>(
+            properties->pNext, VK_STRUCTURE_TYPE_TENSOR_FORMAT_PROPERTIES_ARM)) {
+      tensors->optimalTilingTensorFeatures =
+          tensor_features(known, format, VK_TENSOR_TILING_OPTIMAL_ARM);
+      tensors->linearTilingTensorFeatures =
+          tensor_features(known, format, VK_TENSOR_TILING_LINEAR_ARM);
+    }
+    // Images that tensors may be aliased with are linear below.
+    if (auto* images = find_in_chain<VkFormatProperties3>(properties->pNext,
+                                                          VK_STRUCTURE_TYPE_FORMAT_PROPERTIES_3);
+        images && images->linearTilingFeatures != 0)
+      images->optimalTilingFeatures |= VK_FORMAT_FEATURE_2_TENSOR_IMAGE_ALIASING_BIT_ARM;
+  });
+}
+
+VkResult VKAPI_CALL GetPhysicalDeviceImageFormatProperties(
+    VkPhysicalDevice physical, VkFormat format, VkImageType type, VkImageTiling tiling,
+    VkImageUsageFlags usage, VkImageCreateFlags flags, VkImageFormatProperties* result) {
+  return guarded([&]() -> VkResult {
+    const auto instance = instance_of(physical);
+    if (instance->physical(physical).serves && usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
+      usage &= ~VkImageUsageFlags{VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM};
+      tiling = VK_IMAGE_TILING_LINEAR;  // as objects.cpp makes them
+    }
+    return instance->GetPhysicalDeviceImageFormatProperties(physical, format, type, tiling, usage,
+                                                            flags, result);
+  });
+}
+
+VkResult VKAPI_CALL GetPhysicalDeviceImageFormatProperties2(
+    VkPhysicalDevice physical, const VkPhysicalDeviceImageFormatInfo2* info,
+    VkImageFormatProperties2* result) {
+  return guarded([&]() -> VkResult {
+    const auto instance = instance_of(physical);
+    VkPhysicalDeviceImageFormatInfo2 below = *info;
+    if (instance->physical(physical).serves &&
+        info->usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
+      below.usage &= ~VkImageUsageFlags{VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM};
+      below.tiling = VK_IMAGE_TILING_LINEAR;
+    }
+    return instance->GetPhysicalDeviceImageFormatProperties2(physical, &below, result);
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceQueueFamilyProperties(VkPhysicalDevice physical, uint32_t* count,
+                                                       VkQueueFamilyProperties* results) {
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    instance->GetPhysicalDeviceQueueFamilyProperties(physical, count, results);
+    add_graph_bit(instance->physical(physical), *count, results, sizeof *results);
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceQueueFamilyProperties2(VkPhysicalDevice physical, uint32_t* count,
+                                                        VkQueueFamilyProperties2* results) {
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    instance->GetPhysicalDeviceQueueFamilyProperties2(physical, count, results);
+    add_graph_bit(instance->physical(physical), *count,
+                  results ? &results->queueFamilyProperties : nullptr, sizeof *results);
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceExternalTensorPropertiesARM(
+    VkPhysicalDevice physical, const VkPhysicalDeviceExternalTensorInfoARM* info,
+    VkExternalTensorPropertiesARM* result) {
+  guarded_void([&] {
+    result->externalMemoryProperties = {};
+    const auto instance = instance_of(physical);
+    if (!instance->GetPhysicalDeviceExternalBufferProperties) return;
+    VkPhysicalDeviceExternalBufferInfo buffer{};
+    buffer.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_EXTERNAL_BUFFER_INFO;
+    buffer.usage = kTensorUsage;
+    buffer.handleType = info->handleType;
+    VkExternalBufferProperties properties{};
+    properties.sType = VK_STRUCTURE_TYPE_EXTERNAL_BUFFER_PROPERTIES;
+    instance->GetPhysicalDeviceExternalBufferProperties(physical, &buffer, &properties);
+    result->externalMemoryProperties = properties.externalMemoryProperties;
+  });
+}
+
+VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM(
+    VkPhysicalDevice physical, uint32_t family, uint32_t* count,
+    VkQueueFamilyDataGraphPropertiesARM* results) {
+  return guarded([&]() -> VkResult {
+    const uint32_t available = computes(instance_of(physical)->physical(physical), family) ? 1 : 0;
+    return enumerate(
+        available, count, results, [](VkQueueFamilyDataGraphPropertiesARM& result, uint32_t) {
+          result.engine = {VK_PHYSICAL_DEVICE_DATA_GRAPH_PROCESSING_ENGINE_TYPE_DEFAULT_ARM,
+                           VK_FALSE};
+          result.operation = {
+              VK_PHYSICAL_DEVICE_DATA_GRAPH_OPERATION_TYPE_SPIRV_EXTENDED_INSTRUCTION_SET_ARM,
+              "TOSA.001000.1", 0};
+        });
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphProcessingEnginePropertiesARM(
+    VkPhysicalDevice, const VkPhysicalDeviceQueueFamilyDataGraphProcessingEngineInfoARM*,
+    VkQueueFamilyDataGraphProcessingEnginePropertiesARM* result) {
+  // The engine is the device itself, so nothing has to be exported to it.
+  result->foreignSemaphoreHandleTypes = 0;
+  result->foreignMemoryHandleTypes = 0;
+}
+
+VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphEngineOperationPropertiesARM(
+    VkPhysicalDevice, uint32_t, const VkQueueFamilyDataGraphPropertiesARM*,
+    VkBaseOutStructure* result) {
+  if (auto* tosa = find_in_chain<VkQueueFamilyDataGraphTOSAPropertiesARM>(
+          static_cast<void*>(result),
+          VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_TOSA_PROPERTIES_ARM)) {
+    tosa->profileCount = static_cast<uint32_t>(std::size(kProfiles));
+    tosa->pProfiles = kProfiles;
+    tosa->extensionCount = static_cast<uint32_t>(std::size(kTosaExtensions));
+    tosa->pExtensions = kTosaExtensions;
+    tosa->level = VK_DATA_GRAPH_TOSA_LEVEL_8K_ARM;
+  }
+  return VK_SUCCESS;
+}
+
+void Instance::report(VkDebugUtilsMessageSeverityFlagBitsEXT severity, VkObjectType type,
+                      uint64_t object, const std::string& text) {
+  std::vector<VkDebugUtilsMessengerCreateInfoEXT> listeners;
+  {
+    const std::lock_guard lock(mutex);
+    for (const auto& [messenger, info] : messengers) listeners.push_back(info);
+  }
+  VkDebugUtilsObjectNameInfoEXT named{};
+  named.sType = VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT;
+  named.objectType = type;
+  named.objectHandle = object;
+  VkDebugUtilsMessengerCallbackDataEXT data{};
+  data.sType = VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CALLBACK_DATA_EXT;
+  data.pMessageIdName = "SHALE-data-graph";
+  data.pMessage = text.c_str();
+  data.objectCount = 1;
+  data.pObjects = &named;
+  constexpr VkDebugUtilsMessageTypeFlagsEXT kType = VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT;
+  for (const VkDebugUtilsMessengerCreateInfoEXT& info : listeners)
+    if (info.messageSeverity & severity && info.messageType & kType)
+      info.pfnUserCallback(severity, kType, &data, info.pUserData);
+}
+
+VkResult VKAPI_CALL CreateDebugUtilsMessengerEXT(VkInstance instance,
+                                                 const VkDebugUtilsMessengerCreateInfoEXT* info,
+                                                 const VkAllocationCallbacks* allocator,
+                                                 VkDebugUtilsMessengerEXT* messenger) {
+  return guarded([&]() -> VkResult {
+    const auto data = instance_of(instance);
+    const VkResult result =
+        data->CreateDebugUtilsMessengerEXT(instance, info, allocator, messenger);
+    if (result != VK_SUCCESS) return result;
+    const std::lock_guard lock(data->mutex);
+    data->messengers[*messenger] = *info;
+    return VK_SUCCESS;
+  });
+}
+
+void VKAPI_CALL DestroyDebugUtilsMessengerEXT(VkInstance instance,
+                                              VkDebugUtilsMessengerEXT messenger,
+                                              const VkAllocationCallbacks* allocator) {
+  guarded_void([&] {
+    const auto data = instance_of(instance);
+    {
+      const std::lock_guard lock(data->mutex);
+      data->messengers.erase(messenger);
+    }
+    data->DestroyDebugUtilsMessengerEXT(instance, messenger, allocator);
+  });
+}
+
+}  // namespace shale::layer
