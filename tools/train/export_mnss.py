@@ -4,7 +4,7 @@
 Written into OUT: model.tosa (INT8), model.int16.tosa, model.fp32.tosa and model.fp16.tosa, quantization.json (what the
 codes of their tensors mean), frame.json with the numbers of the two small networks, frame_sharp.json, which sharpens
 what is shown, weights.npz (float weights, activation ranges and the training record, from which everything here can be
-made again) and golden/<tensor>.npy: a picture of 64x64 and the result of the exact integer network for it.
+made again), weights_float.npz if the float graphs have others, and golden/<tensor>.npy: a picture of 64x64 and the result of the exact integer network for it.
 
 Examples:
   python3 tools/train/export_mnss.py --weights build/train/mnss_qat/last.pt --out models/mnss_x2
@@ -109,16 +109,22 @@ def frame_description(model: mnss.Mnss, sharpen: bool = False, shaders: str = SH
     }
 
 
-def export(weights: Path, out: Path, shaders: str = SHADERS) -> mnss.Mnss:
-    """Writes the model folder; `shaders` is the path from it to the passes. Errors: ValueError, OSError."""
+def export(weights: Path, out: Path, shaders: str = SHADERS, real: Path | None = None) -> mnss.Mnss:
+    """Writes the model folder; `shaders` is the path from it to the passes, `real` the weights of the float graphs, where they
+    are others; the small networks are those of `weights`. Errors: ValueError, OSError."""
     model, record = mnss.load_model(weights)
+    real_model, real_record = mnss.load_model(real or weights)
+    if real_model.scale != model.scale:
+        raise ValueError(f"{real}: has scale {real_model.scale}, {weights} has {model.scale}")
     network = mnss.to_int8(model)
     (out / "golden").mkdir(parents=True, exist_ok=True)
     mnss.save_weights(out / "weights.npz", model, record)
+    if real:
+        mnss.save_weights(out / "weights_float.npz", real_model, real_record)
     write_atomically(precisions.file_in(out, "int8"), mnss.build_graph(network, *mnss.STORED).pack())
     write_atomically(precisions.file_in(out, "int16"), mnss.build_short_graph(model, *mnss.STORED).pack())
     for precision, dtype in precisions.FLOATS.items():
-        write_atomically(precisions.file_in(out, precision), mnss.build_real_graph(model, *mnss.STORED, dtype).pack())
+        write_atomically(precisions.file_in(out, precision), mnss.build_real_graph(real_model, *mnss.STORED, dtype).pack())
     write_atomically(out / "quantization.json", precisions.quantization_json(mnss.tensor_scales(model)))
     for name, sharpen in (("frame.json", False), ("frame_sharp.json", True)):
         text = json.dumps(frame_description(model, sharpen, shaders), indent=1)
@@ -136,11 +142,12 @@ def main(arguments: list[str] | None = None) -> int:
         epilog="example: python3 tools/train/export_mnss.py --weights build/train/mnss_qat/last.pt --out models/mnss_x2",
     )
     parser.add_argument("--weights", type=Path, required=True, help="checkpoint (.pt) or weights (.npz), with ranges")
+    parser.add_argument("--float-weights", type=Path, help="the same for the float graphs (default: those of --weights)")
     parser.add_argument("--out", type=Path, required=True, help="model folder")
     parser.add_argument("--shaders", default=SHADERS, help=f"path from OUT to the passes (default: {SHADERS})")
     options = parser.parse_args(arguments)
     try:
-        model = export(options.weights, options.out, options.shaders)
+        model = export(options.weights, options.out, options.shaders, options.float_weights)
     except (ValueError, OSError) as error:
         print(f"export_mnss: error: {error}", file=sys.stderr)
         return 1

@@ -3,8 +3,8 @@
 
 Written into OUT: model.tosa (the first set, INT8, the input size of a 1920x1080 output), sets/NN.tosa (the others), both
 also as .int16.tosa, .fp32.tosa and .fp16.tosa; quantization.json (what the codes of their tensors mean); frame.json;
-weights.npz (float weights, activation ranges and the training record, from which everything here can be made again); and
-golden/<tensor>.npy: an input of 16x24 texels and the outputs of the exact integer network for it, set by set.
+weights.npz (float weights, activation ranges and the training record, from which everything here can be made again), of the float
+graphs weights_float.npz if they have others; and golden/<tensor>.npy: an input of 16x24 texels and the outputs of the exact integer network for it, set by set.
 The offsets of the sets are the first ones of the jitter sequence.
 
 Example:
@@ -106,21 +106,27 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
     }
 
 
-def export(weights: Path, out: Path, count: int, shaders: str = SHADERS) -> qrisp.Int8Qrisp:
-    """Writes the model folder; `shaders` is the path from it to the passes. Errors: ValueError, OSError."""
+def export(weights: Path, out: Path, count: int, shaders: str = SHADERS, real: Path | None = None) -> qrisp.Int8Qrisp:
+    """Writes the model folder; `shaders` is the path from it to the passes, `real` the weights of the float graphs, where they
+    are others. Errors: ValueError, OSError."""
     model, record = qrisp.load_model(weights)
+    real_model, real_record = qrisp.load_model(real or weights)
+    if qrisp.describe(real_model) != qrisp.describe(model):
+        raise ValueError(f"{real}: is {qrisp.describe(real_model)}, {weights} is {qrisp.describe(model)}")
     offsets = qrisp.jitter_sequence(count if model.conditioned else 1)
     network = qrisp.to_int8(model, offsets)
     for folder in ("golden", "sets") if len(offsets) > 1 else ("golden",):
         (out / folder).mkdir(parents=True, exist_ok=True)
     qrisp.save_weights(out / "weights.npz", model, record)
+    if real:
+        qrisp.save_weights(out / "weights_float.npz", real_model, real_record)
     size = tuple(side // model.scale for side in qrisp.OUTPUT)
     codes = golden_input(model.scale)
     results: dict[str, list[np.ndarray]] = {name: [] for name in qrisp.HEADS}
     for index, offset in enumerate(offsets):
         graphs = {"int8": qrisp.build_graph(network, index, *size),
                   "int16": qrisp.build_short_graph(model, offset, *size)}
-        graphs |= {precision: qrisp.build_real_graph(model, offset, *size, dtype)
+        graphs |= {precision: qrisp.build_real_graph(real_model, offset, *size, dtype)
                    for precision, dtype in precisions.FLOATS.items()}
         for precision, graph in graphs.items():
             write_atomically(out / set_file(precision, index), graph.pack())
@@ -143,12 +149,13 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--weights", type=Path, required=True, help="checkpoint (.pt) or weights (.npz), with ranges")
     parser.add_argument("--out", type=Path, required=True, help="model folder")
+    parser.add_argument("--float-weights", type=Path, help="the same for the float graphs (default: those of --weights)")
     parser.add_argument("--sets", type=int, default=16, help="weight sets, 1 to 64 (default: 16)")
     options = parser.parse_args(arguments)
     try:
         if not 1 <= options.sets <= 64:
             raise ValueError(f"--sets must lie in 1 to 64, found {options.sets}")
-        network = export(options.weights, options.out, options.sets)
+        network = export(options.weights, options.out, options.sets, real=options.float_weights)
     except (ValueError, OSError) as error:
         print(f"export_qrisp: error: {error}", file=sys.stderr)
         return 1

@@ -122,10 +122,14 @@ class Mnss(nn.Module):
             self.observed.setdefault(name, []).append(float(values.kthvalue(values.numel() + 1 - rest).values))
 
     def calibrated(self) -> None:
-        """Fixes the ranges from what `observed` collected. Errors: ValueError when nothing was."""
+        """Fixes the ranges from what `observed` collected. Errors: ValueError when nothing was.
+
+        They hold the brightest sequence: the picture goes through every layer, so that a range of a mean sequence would clip
+        what is bright.
+        """
         if not self.observed:
             raise ValueError("no activations were observed")
-        self.ranges = {name: max(float(np.mean(seen)), 1e-3) for name, seen in self.observed.items()}
+        self.ranges = {name: max(*seen, 1e-3) for name, seen in self.observed.items()}
         self.observed = None
 
 

@@ -204,14 +204,16 @@ class Qrisp(nn.Module):
                 (float(values.kthvalue(rest).values), float(values.kthvalue(values.numel() + 1 - rest).values)))
 
     def calibrated(self) -> None:
-        """Fixes the ranges from what `observed` collected. Errors: ValueError when nothing was."""
+        """Fixes the ranges from what `observed` collected. Errors: ValueError when nothing was.
+
+        They hold the brightest sequence: colours go through every layer, so that a range of a mean sequence would clip what is
+        bright.
+        """
         if not self.observed:
             raise ValueError("no activations were observed")
-        ranges = {}
-        for name, seen in self.observed.items():
-            low, high = np.array(seen).mean(0)
-            ranges[name] = (float(low), float(max(high, 1e-3)))
-        self.ranges, self.observed = ranges, None
+        self.ranges = {name: (min(low for low, _ in seen), max(*(high for _, high in seen), 1e-3))
+                       for name, seen in self.observed.items()}
+        self.observed = None
 
 
 def _start(model: Qrisp, name: str, jitter: Jitter):

@@ -38,7 +38,7 @@ class Folder(unittest.TestCase):
     def test_shipped_folders_are_what_their_weights_export(self):
         for shipped in sorted((ROOT / "models").glob("qrisp_*")):
             with self.subTest(shipped.name), tempfile.TemporaryDirectory() as out:
-                export_qrisp.export(shipped / "weights.npz", Path(out), 16)
+                export_qrisp.export(shipped / "weights.npz", Path(out), 16, real=shipped / "weights_float.npz")
                 for path in (p for p in Path(out).rglob("*") if p.is_file()):
                     name = path.relative_to(out)
                     self.assertEqual(path.read_bytes(), (shipped / name).read_bytes(), name)
