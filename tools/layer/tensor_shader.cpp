@@ -79,7 +79,7 @@ constexpr uint32_t kDecorationBlock = 2, kDecorationArrayStride = 6, kDecoration
                    kDecorationBinding = 33, kDecorationSet = 34, kDecorationOffset = 35;
 
 /// An operand that reads or writes may have: the value outside of the tensor.
-constexpr uint32_t kOutOfBoundsValue = 2, kMakeAvailable = 4, kMakeVisible = 8;
+constexpr uint32_t kOutOfBoundsValue = 2;
 
 bool is_declaration(uint32_t op) {
   return (op >= kOpTypeVoid && op <= 52) || op == kOpVariable || op == kOpFunction ||
