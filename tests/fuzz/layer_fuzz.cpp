@@ -72,7 +72,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   for (size_t i = 0; i < bytes.size(); ++i)
     constants.push_back({entry.constant_ids[i], &constant_descriptions[i], bytes[i].data()});
   std::vector<uint32_t> words(size / 4);
-  std::memcpy(words.data(), data, 4 * words.size());
+  if (!words.empty()) std::memcpy(words.data(), data, 4 * words.size());
   // Only what the layer takes as a graph: other modules are the driver's.
   if (words.size() < 7 || words[5] >> 16 != 2) return 0;
   words[5] = 2u << 16 | 17;
