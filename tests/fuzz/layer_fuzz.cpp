@@ -38,6 +38,10 @@ extern "C" int LLVMFuzzerInitialize(int*, char***) {
   return 0;
 }
 
+/// lavapipe 22.3 leaks 48 bytes of its own with some compute pipelines.
+extern "C" const char* __lsan_default_suppressions() { return "leak:libvulkan_lvp.so\n"; }
+
+
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   shale::SpirvEntryPoint entry = entry_of({data, size});
   std::vector<shale::TensorType> types, constant_types = entry.constant_types;
