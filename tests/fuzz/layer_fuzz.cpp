@@ -41,7 +41,6 @@ extern "C" int LLVMFuzzerInitialize(int*, char***) {
 /// lavapipe 22.3 leaks 48 bytes of its own with some compute pipelines.
 extern "C" const char* __lsan_default_suppressions() { return "leak:libvulkan_lvp.so\n"; }
 
-
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   shale::SpirvEntryPoint entry = entry_of({data, size});
   std::vector<shale::TensorType> types, constant_types = entry.constant_types;
@@ -93,5 +92,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   ClientGraph graph;
   if (client_create_graph(&client, &info, &graph) == VK_SUCCESS)
     client_destroy_graph(&client, &graph);
+  // lavapipe frees destroyed pipelines with the next submission.
+  VkSubmitInfo nothing{};
+  nothing.sType = VK_STRUCTURE_TYPE_SUBMIT_INFO;
+  vkQueueSubmit(client.queue, 1, &nothing, VK_NULL_HANDLE);
+  vkQueueWaitIdle(client.queue);
   return 0;
 }
