@@ -30,11 +30,6 @@ $shale play models/baselines/mob_fgsr_sr_interpolation -i models/scenes/test/mot
   --render 480x270 --generate 1 --animation out/doubled.png
 
 echo
-echo "== a picture between each two frames, by motion alone"
-$shale play models/baselines/mob_fgsr_interpolation -i models/scenes/test/motion.json -o out/generated --render 960x540 --frames 8 \
-  --generate 1 --animation out/generated.png
-
-echo
 echo "== what the network costs, and whether it fits the frame budget"
 $shale report models/nss_v1_high
 
@@ -43,5 +38,4 @@ echo "Look at:"
 echo "  out/report.html    figures over time, before and after, where the methods differ"
 echo "  out/animation.png  the upscaled frames, in a browser"
 echo "  out/doubled.png    frames and what was made between them"
-echo "  out/generated.png  frames at twice their rate, every second one generated"
 echo "  out/debug/         what the passes and the network see and say"
