@@ -76,27 +76,13 @@ TEST_F(AliasLayerTest, AGraphReadsAndWritesImages) {
       << client.last_message;
   const VkImage images[] = {image_on(run.tensors[0].memory, VK_FORMAT_R8G8B8A8_UNORM),
                             image_on(run.tensors[1].memory, VK_FORMAT_R8G8B8A8_SNORM)};
-  VkBufferCreateInfo buffer_info{};
-  buffer_info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
-  buffer_info.size = kWidth * kHeight * kTexelBytes;
-  buffer_info.usage = VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-  VkBuffer buffer;
-  ASSERT_EQ(vkCreateBuffer(client.device, &buffer_info, nullptr, &buffer), VK_SUCCESS);
-  VkMemoryRequirements needs;
-  vkGetBufferMemoryRequirements(client.device, buffer, &needs);
-  VkMemoryAllocateInfo memory_info{};
-  memory_info.sType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO;
-  memory_info.allocationSize = needs.size;
-  memory_info.memoryTypeIndex = client_memory_type(
-      &client, needs.memoryTypeBits,
-      VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
-  VkDeviceMemory memory;
-  ASSERT_EQ(vkAllocateMemory(client.device, &memory_info, nullptr, &memory), VK_SUCCESS);
-  ASSERT_EQ(vkBindBufferMemory(client.device, buffer, memory, 0), VK_SUCCESS);
-  void* mapped;
-  ASSERT_EQ(vkMapMemory(client.device, memory, 0, VK_WHOLE_SIZE, 0, &mapped), VK_SUCCESS);
+  const HostBuffer host =
+      host_buffer(kWidth * kHeight * kTexelBytes,
+                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT);
+  ASSERT_TRUE(host.mapped);
+  const VkBuffer buffer = host.buffer;
   const std::vector<Tensor> inputs = random_inputs(graph, 1);
-  std::memcpy(mapped, inputs[0].bytes.data(), inputs[0].bytes.size());
+  std::memcpy(host.mapped, inputs[0].bytes.data(), inputs[0].bytes.size());
   const auto record = [&](VkCommandBuffer commands) {
     VkBufferImageCopy region{};
     region.imageSubresource = {VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1};
@@ -124,9 +110,7 @@ TEST_F(AliasLayerTest, AGraphReadsAndWritesImages) {
             VK_SUCCESS)
       << client.last_message;
   const std::vector<Tensor> expected = must(interpret(graph, inputs));
-  EXPECT_EQ(std::memcmp(mapped, expected[0].bytes.data(), expected[0].bytes.size()), 0);
-  vkDestroyBuffer(client.device, buffer, nullptr);
-  vkFreeMemory(client.device, memory, nullptr);
+  EXPECT_EQ(std::memcmp(host.mapped, expected[0].bytes.data(), expected[0].bytes.size()), 0);
   for (const VkImage image : images) vkDestroyImage(client.device, image, nullptr);
 }
 

@@ -174,8 +174,35 @@ void LayerTest::SetUp() {
 void LayerTest::TearDown() {
   if (!is_open) return;
   EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
+  for (const HostBuffer& host : buffers_) {
+    vkDestroyBuffer(client.device, host.buffer, nullptr);
+    vkFreeMemory(client.device, host.memory, nullptr);
+  }
   client_close(&client);
   EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
+}
+
+HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage) {
+  HostBuffer& host = buffers_.emplace_back();
+  VkBufferCreateInfo info{};
+  info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
+  info.size = bytes;
+  info.usage = usage;
+  EXPECT_EQ(vkCreateBuffer(client.device, &info, nullptr, &host.buffer), VK_SUCCESS);
+  if (!host.buffer) return host;
+  VkMemoryRequirements needs;
+  vkGetBufferMemoryRequirements(client.device, host.buffer, &needs);
+  VkMemoryAllocateInfo memory{};
+  memory.sType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO;
+  memory.allocationSize = needs.size;
+  memory.memoryTypeIndex = client_memory_type(
+      &client, needs.memoryTypeBits,
+      VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
+  EXPECT_EQ(vkAllocateMemory(client.device, &memory, nullptr, &host.memory), VK_SUCCESS);
+  if (!host.memory) return host;
+  EXPECT_EQ(vkBindBufferMemory(client.device, host.buffer, host.memory, 0), VK_SUCCESS);
+  EXPECT_EQ(vkMapMemory(client.device, host.memory, 0, VK_WHOLE_SIZE, 0, &host.mapped), VK_SUCCESS);
+  return host;
 }
 
 }  // namespace shale

@@ -49,14 +49,26 @@ class ClientRun {
   size_t input_count_ = 0;
 };
 
+/// A buffer in memory that the host sees; both last until the client is closed.
+struct HostBuffer {
+  VkBuffer buffer = VK_NULL_HANDLE;
+  VkDeviceMemory memory = VK_NULL_HANDLE;
+  void* mapped = nullptr;
+};
+
 /// A client per test; skips without a device, fails where validation has spoken.
 class LayerTest : public testing::Test {
  protected:
   void SetUp() override;
   void TearDown() override;
+  /// Freed by TearDown. Fails the test, and maps nothing, where it cannot be made.
+  HostBuffer host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage);
 
   Client client{};
   bool is_open = false;
+
+ private:
+  std::vector<HostBuffer> buffers_;
 };
 
 }  // namespace shale

@@ -306,27 +306,10 @@ void main() { a.value[gl_WorkGroupID.x] = a.value[gl_WorkGroupID.x] * p.scale + 
             VK_SUCCESS);
 
   constexpr uint32_t kOffset = 256;  // a legal dynamic offset anywhere
-  VkBufferCreateInfo buffer_info{};
-  buffer_info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
-  buffer_info.size = 2 * kOffset;
-  buffer_info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT;
-  VkBuffer buffer;
-  ASSERT_EQ(vkCreateBuffer(client.device, &buffer_info, nullptr, &buffer), VK_SUCCESS);
-  VkMemoryRequirements needs;
-  vkGetBufferMemoryRequirements(client.device, buffer, &needs);
-  VkMemoryAllocateInfo memory_info{};
-  memory_info.sType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO;
-  memory_info.allocationSize = needs.size;
-  memory_info.memoryTypeIndex = client_memory_type(
-      &client, needs.memoryTypeBits,
-      VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT);
-  VkDeviceMemory memory;
-  ASSERT_EQ(vkAllocateMemory(client.device, &memory_info, nullptr, &memory), VK_SUCCESS);
-  ASSERT_EQ(vkBindBufferMemory(client.device, buffer, memory, 0), VK_SUCCESS);
-  int32_t* mapped;
-  ASSERT_EQ(
-      vkMapMemory(client.device, memory, 0, VK_WHOLE_SIZE, 0, reinterpret_cast<void**>(&mapped)),
-      VK_SUCCESS);
+  const HostBuffer host = host_buffer(2 * kOffset, VK_BUFFER_USAGE_STORAGE_BUFFER_BIT);
+  ASSERT_TRUE(host.mapped);
+  const VkBuffer buffer = host.buffer;
+  int32_t* const mapped = static_cast<int32_t*>(host.mapped);
   std::memset(mapped, 0, 2 * kOffset);
 
   const VkDescriptorPoolSize sizes[] = {{types[0], 1}, {types[1], 1}};
@@ -375,8 +358,6 @@ void main() { a.value[gl_WorkGroupID.x] = a.value[gl_WorkGroupID.x] * p.scale + 
   for (int i = 0; i < 4; ++i) EXPECT_EQ(mapped[64 + i], (i * 3 + 7) * 3 + 7) << i;
 
   vkDestroyDescriptorPool(client.device, pool, nullptr);
-  vkDestroyBuffer(client.device, buffer, nullptr);
-  vkFreeMemory(client.device, memory, nullptr);
   vkDestroyPipeline(client.device, pipeline, nullptr);
   vkDestroyPipelineLayout(client.device, layout, nullptr);
   for (const VkDescriptorSetLayout each : layouts)

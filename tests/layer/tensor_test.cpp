@@ -126,7 +126,8 @@ TEST_F(TensorLayerTest, QueueFamiliesTellTheirOperations) {
   EXPECT_EQ(foreign.foreignMemoryHandleTypes, 0u);
 }
 
-TEST_F(TensorLayerTest, FunctionsAreThereOnlyWhereTheExtensionIsEnabled) {
+/// A device of one queue, without extensions.
+VkResult create_device(const Client& client, const void* next, VkDevice* device) {
   const float priority = 1;
   VkDeviceQueueCreateInfo queue{};
   queue.sType = VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO;
@@ -135,10 +136,15 @@ TEST_F(TensorLayerTest, FunctionsAreThereOnlyWhereTheExtensionIsEnabled) {
   queue.pQueuePriorities = &priority;
   VkDeviceCreateInfo info{};
   info.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO;
+  info.pNext = next;
   info.queueCreateInfoCount = 1;
   info.pQueueCreateInfos = &queue;
+  return vkCreateDevice(client.physical, &info, nullptr, device);
+}
+
+TEST_F(TensorLayerTest, FunctionsAreThereOnlyWhereTheExtensionIsEnabled) {
   VkDevice plain;
-  ASSERT_EQ(vkCreateDevice(client.physical, &info, nullptr, &plain), VK_SUCCESS);
+  ASSERT_EQ(create_device(client, nullptr, &plain), VK_SUCCESS);
   EXPECT_EQ(vkGetDeviceProcAddr(plain, "vkCreateTensorARM"), nullptr);
   EXPECT_EQ(vkGetDeviceProcAddr(plain, "vkCmdDispatchDataGraphARM"), nullptr);
   EXPECT_NE(vkGetDeviceProcAddr(plain, "vkCmdDispatch"), nullptr);
@@ -149,19 +155,8 @@ TEST_F(TensorLayerTest, RefusesFeaturesThatItDoesNotReport) {
   VkPhysicalDeviceDataGraphFeaturesARM graphs{};
   graphs.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM;
   graphs.dataGraph = graphs.dataGraphDescriptorBuffer = VK_TRUE;
-  const float priority = 1;
-  VkDeviceQueueCreateInfo queue{};
-  queue.sType = VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO;
-  queue.queueFamilyIndex = client.family;
-  queue.queueCount = 1;
-  queue.pQueuePriorities = &priority;
-  VkDeviceCreateInfo info{};
-  info.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO;
-  info.pNext = &graphs;
-  info.queueCreateInfoCount = 1;
-  info.pQueueCreateInfos = &queue;
   VkDevice device;
-  EXPECT_EQ(vkCreateDevice(client.physical, &info, nullptr, &device), VK_ERROR_FEATURE_NOT_PRESENT);
+  EXPECT_EQ(create_device(client, &graphs, &device), VK_ERROR_FEATURE_NOT_PRESENT);
 }
 
 TEST_F(TensorLayerTest, ChainsOfSingleFeatureStructuresAreKept) {

@@ -63,9 +63,9 @@ struct GraphSession {
   VkMemoryRequirements requirements{};
   VkDeviceMemory memory = VK_NULL_HANDLE;
   uint64_t memory_offset = 0;
-  vk::BufferHandle placeholder;  ///< asks for memory where nothing else does
-  std::vector<Staging> staging;  ///< as GraphPipeline::tensors
-  std::mutex mutex;              ///< of what follows
+  vk::BufferHandle least_memory;  ///< asks for memory where nothing else does
+  std::vector<Staging> staging;   ///< as GraphPipeline::tensors
+  std::mutex mutex;               ///< of what follows
   std::vector<Recording> recordings;
   std::optional<Session> spare;  ///< told the requirements; becomes the first recording
 };

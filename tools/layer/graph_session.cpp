@@ -46,7 +46,7 @@ Result<void> find_requirements(GraphSession& session) {
   }
   // A session always has its transient memory: applications count on it.
   if (session.requirements.size == 0)
-    SHALE_TRY_VOID(add_buffer(session, kBufferAlignment, session.placeholder));
+    SHALE_TRY_VOID(add_buffer(session, kBufferAlignment, session.least_memory));
   return {};
 }
 
@@ -64,7 +64,7 @@ Result<void> bind_memory(GraphSession& session, VkDeviceMemory memory, uint64_t 
     SHALE_TRY_VOID(session.spare->bind_memory(memory, offset));
   for (const GraphSession::Staging& staging : session.staging)
     if (staging.buffer) SHALE_TRY_VOID(bind(staging.buffer.get(), staging.offset));
-  if (session.placeholder) SHALE_TRY_VOID(bind(session.placeholder.get(), 0));
+  if (session.least_memory) SHALE_TRY_VOID(bind(session.least_memory.get(), 0));
   session.memory = memory;
   session.memory_offset = offset;
   return {};

@@ -121,7 +121,12 @@ class Subject {
 
   Player& player() { return *player_; }
   bool display() const { return player_->is_display(); }
-  bool takes_depth() const { return takes("depth"); }
+  bool takes_depth() const {
+    const std::vector<Resource>& all = player_->variant().resources;
+    return std::any_of(all.begin(), all.end(), [](const Resource& r) {
+      return r.category == Category::kImageInput && r.name == "depth";
+    });
+  }
   StressFrames frames() const {
     return {player_->render_size(), player_->output_size(), pattern_, display()};
   }
@@ -166,18 +171,10 @@ class Subject {
   }
 
  private:
-  bool takes(std::string_view image) const {
-    return std::any_of(
-        player_->variant().resources.begin(), player_->variant().resources.end(),
-        [&](const Resource& r) { return r.category == Category::kImageInput && r.name == image; });
-  }
-
   std::unique_ptr<Player> player_;
   std::vector<Graph> graphs_;
   SamplingPattern pattern_;
 };
-
-Error interrupted_error() { return {ErrorCode::kBadInput, "", "interrupted"}; }
 
 /// One after the other what a verdict holds against; empty is that all holds.
 std::string joined(const std::vector<std::string>& parts) {
@@ -226,7 +223,7 @@ class FaultRun {
     std::optional<std::string> departs;
     for (uint32_t i = 0; i < count(); ++i) {
       SourceFrame frame = frames_.frame(Course::kMoving, i);
-      const double exposure = static_cast<double>(frame.camera.exposure);
+      const float undisturbed = frame.camera.exposure;
       const bool struck_now = i >= kWarmFrames && i < kWarmFrames + kFaultFrames;
       if (struck_now) fault.apply(frame);
       for (const float value : frame.color.values)
@@ -235,16 +232,16 @@ class FaultRun {
       Range range;
       range.add(picture);
       output.add(picture);
-      const double now_exposure = static_cast<double>(frame.camera.exposure);
+      const double exposure = static_cast<double>(frame.camera.exposure);
       // What a display shows ends at 1 by its format.
-      if (const double excess = mapped(range.high * now_exposure) - mapped(seen * now_exposure);
+      if (const double excess = mapped(range.high * exposure) - mapped(seen * exposure);
           !subject_.display() && excess > above) {
         above = excess;
         highest = range.high;
       }
-      below = std::min(below, range.low * now_exposure);
+      below = std::min(below, range.low * exposure);
       // As the undisturbed exposure shows it, so that what differs is the picture.
-      left = difference(subject_.shown(picture, static_cast<float>(exposure)), clean_[i]);
+      left = difference(subject_.shown(picture, undisturbed), clean_[i]);
       curve.push_back(left.largest);
       if (left.largest > kSeenCodes && i >= kWarmFrames + kFaultFrames)
         lasts = i + 1 - kWarmFrames - kFaultFrames;
@@ -255,7 +252,7 @@ class FaultRun {
         SHALE_TRY(departs, subject_.departs());
       }
       if (i == kWarmFrames && fault.group == "texels")
-        json["reach"] = reach(subject_.shown(picture, static_cast<float>(exposure)), clean_[i]);
+        json["reach"] = reach(subject_.shown(picture, undisturbed), clean_[i]);
     }
     SHALE_TRY(const uint64_t left_broken, subject_.broken_history());
     std::vector<std::string> broken;
@@ -343,7 +340,8 @@ Result<Json> run_course(const Arguments& arguments, Subject& subject, Course cou
     Difference worst;
     std::vector<float> low, high;
     for (uint32_t i = 0; i < cycle; ++i) {
-      if (!progress.step(size_t{k} * cycle + i, size_t{cycles} * cycle)) return interrupted_error();
+      if (!progress.step(size_t{k} * cycle + i, size_t{cycles} * cycle))
+        return bad_input("", "interrupted");
       SHALE_TRY(const FloatImage picture, subject.play(inputs[i]));
       output.add(picture);
       FloatImage shown = subject.shown(picture, inputs[i].camera.exposure);
@@ -410,7 +408,7 @@ Result<Departure> departure(Subject& a, Subject& b, std::span<const SourceFrame>
   double squares = 0;
   size_t values = 0;
   for (uint32_t i = 0; i < frames.size(); ++i) {
-    if (interrupted()) return interrupted_error();
+    if (interrupted()) return bad_input("", "interrupted");
     const float exposure = frames[i].camera.exposure;
     SHALE_TRY(const FloatImage of_a, a.play(frames[i]));
     SHALE_TRY(const FloatImage of_b, b.play(frames[i]));
@@ -456,7 +454,7 @@ Result<Json> search(const Arguments& arguments, Subject& int8, Subject& fp32, Pr
   const auto below = [&](uint32_t n) { return static_cast<uint32_t>(random() % n); };
   uint32_t kept = 0;
   for (uint32_t step = 0; step < arguments.search; ++step) {
-    if (!progress.step(step, arguments.search)) return interrupted_error();
+    if (!progress.step(step, arguments.search)) return bad_input("", "interrupted");
     std::vector<SourceFrame> next = frames;
     const Extent size = int8.player().render_size();
     const uint32_t x0 = below(size.width), y0 = below(size.height), of = below(kFrames + 1);
@@ -560,7 +558,7 @@ Result<int> stress(const Arguments& arguments) {
       json["limits"]["codes"] = run.most_left();
       Progress progress("faults");
       for (size_t i = 0; i < chosen.size(); ++i) {
-        if (!progress.step(i, chosen.size())) return interrupted_error();
+        if (!progress.step(i, chosen.size())) return bad_input("", "interrupted");
         SHALE_TRY(Json row, run.run(*chosen[i]));
         json["faults"].push_back(std::move(row));
       }

@@ -22,7 +22,7 @@ from torch import nn
 import precisions
 import quantize
 import training
-from nss import convolve_exactly
+from nss import Concat, Up, convolve_exactly
 from tosa_writer import GraphWriter
 
 CHANNELS = 16
@@ -53,22 +53,6 @@ class Conv:
         """Top, bottom, left, right: of an even size, what a stride of 2 reads."""
         half = self.kernel // 2
         return (half, half - (self.stride - 1), half, half - (self.stride - 1))
-
-
-@dataclass(frozen=True)
-class Up:
-    """Nearest, by 2."""
-
-    name: str
-    source: str
-
-
-@dataclass(frozen=True)
-class Concat:
-    """Channels one after the other."""
-
-    name: str
-    sources: tuple[str, ...]
 
 
 NODES: tuple[Conv | Up | Concat, ...] = (

@@ -61,7 +61,7 @@ class Concat:
     """Channels one after the other."""
 
     name: str
-    sources: tuple[str, str]
+    sources: tuple[str, ...]
 
 
 def nodes(mode: Mode) -> list[Conv | Up | Concat]:
