@@ -25,6 +25,30 @@ const char* memory_type(DType dtype) {
   }
 }
 
+/// The position with the same run, whose coordinates may be changed: nobody has its index then.
+Position moved(Position at) {
+  at.linear.clear();
+  return at;
+}
+
+std::string clamped(const std::string& coord, int64_t last) {
+  return fmt::format("clamp({}, 0, {})", coord, last);
+}
+
+/// One of two values. In a run both are made, at places that exist, since a CPU driver runs both sides of a branch
+/// anyway, and cannot find equal fetches across it.
+std::string either(const Position& at, const std::string& condition, const std::string& yes,
+                   const std::string& no) {
+  return at.in_run() ? fmt::format("mix({}, {}, {})", no, yes, condition)
+                     : fmt::format("(({}) ? {} : {})", condition, yes, no);
+}
+
+Position with_coords(Position at, std::vector<std::string> coords) {
+  at.coords = std::move(coords);
+  at.linear.clear();
+  return at;
+}
+
 /// Keeps the low `bits` of an int, sign extended.
 std::string narrow(const std::string& expression, DType dtype) {
   const uint32_t bits = dtype_info(dtype).bits;
@@ -111,24 +135,41 @@ size_t Codegen::bind_constant(std::vector<uint8_t> bytes, BindingType type) {
   return bindings_.size() - 1;
 }
 
+std::vector<Position> Position::run_at(std::vector<std::string> coords, const std::string& first,
+                                       int64_t length) {
+  std::vector<Position> elements;
+  for (int64_t lane = 0; lane < length; ++lane) {
+    coords.back() = lane == 0 ? first : fmt::format("({} + {})", first, lane);
+    elements.push_back(
+        {.coords = coords, .base = length > 1 ? first : "", .lane = lane, .run = length});
+  }
+  return elements;
+}
+
 std::string Codegen::load(ValueId id, const Position& at) {
+  return load_as(id, value(id).type.shape, at);
+}
+
+std::string Codegen::load_as(ValueId id, const Shape& shape, const Position& at) {
   if (const auto local = locals_.find(id); local != locals_.end()) return local->second;
   const Value& source = value(id);
   if (source.is_constant()) {
     // A constant at a position that is known now is a literal.
     if (source.constant->count() == 1) return literal(source.constant->get(0), source.type.dtype);
     int64_t index = 0;
-    bool known = at.coords.size() == source.type.shape.size();
+    bool known = at.coords.size() == shape.size();
     for (size_t i = 0; known && i < at.coords.size(); ++i) {
       const std::optional<int64_t> coord = as_number(at.coords[i]);
       known = coord.has_value();
-      index = index * source.type.shape[i] + coord.value_or(0);
+      index = index * shape[i] + coord.value_or(0);
     }
     if (known) return literal(source.constant->get(index), source.type.dtype);
   }
   const std::optional<NodeId> producer = producers_[id.index];
   if (producer && problem_.group.contains(*producer) &&
       op_kind(graph_.node(*producer)) == OpKind::kView) {
+    // A function would forget the run.
+    if (at.in_run()) return view(graph_.node(*producer), at);
     auto function = view_functions_.find(id);
     if (function == view_functions_.end()) {
       const std::string name = fmt::format("view{}", id.index);
@@ -147,11 +188,51 @@ std::string Codegen::load(ValueId id, const Position& at) {
         at.coords.size() == source.type.shape.size() ? at : split(at.linear, source.type.shape);
     return fmt::format("{}({})", function->second, fmt::join(full.coords, ", "));
   }
+  if (source.type.dtype != DType::kInt48 &&
+      static_cast<uint64_t>(element_count(shape).value_or(0)) < most_texels_)
+    return fetch(id, shape, at);
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, false);
   if (source.type.dtype == DType::kFp16)
-    return fmt::format("from_half(uint(b{}.d[{}]))", binding, linear(at, source.type.shape));
-  return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding,
-                     linear(at, source.type.shape));
+    return fmt::format("from_half(uint(b{}.d[{}]))", binding, linear(at, shape));
+  return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding, linear(at, shape));
+}
+
+std::string Codegen::fetch(ValueId id, const Shape& shape, const Position& at) {
+  const DType dtype = value(id).type.dtype;
+  const int64_t bytes = dtype_info(dtype).host_bytes;
+  int64_t lanes = 1;  // of a texel
+  if (at.in_run())
+    for (const int64_t width : {16 / bytes, 4 / bytes})
+      if (lanes == 1 && at.run % width == 0 && shape.back() % width == 0) lanes = width;
+  const int64_t texel_bytes = lanes * bytes;
+  const ImageFormat format = texel_bytes == 16  ? ImageFormat::kRgba32Uint
+                             : texel_bytes == 4 ? ImageFormat::kR32Uint
+                             : texel_bytes == 2 ? ImageFormat::kR16Uint
+                                                : ImageFormat::kR8Sint;
+  std::string index;
+  if (lanes > 1) {
+    Shape texels = shape;
+    texels.back() /= lanes;
+    Position texel{.coords = at.coords};
+    texel.coords.back() = fmt::format("(({} + {}) / {})", at.base, at.lane / lanes * lanes, lanes);
+    index = linear(texel, texels);
+  } else {
+    index = linear(at, shape);
+  }
+  const int64_t byte = at.lane % lanes * bytes;  // from the start of the texel
+  const std::string word = fmt::format("texelFetch(t{}, {}).{}",
+                                       bind(id, BindingType::kUniformTexelBuffer, format, false),
+                                       index, "xyzw"[static_cast<size_t>(byte / 4)]);
+  switch (dtype) {
+    case DType::kFp32: return fmt::format("uintBitsToFloat({})", word);
+    case DType::kFp16:
+      // Exact on CPU drivers, which alone take this way; they convert all lanes in one instruction.
+      return fmt::format("unpackHalf2x16({}).{}", word, byte % 4 == 0 ? 'x' : 'y');
+    case DType::kInt32: return fmt::format("int({})", word);
+    case DType::kInt16: return fmt::format("bitfieldExtract(int({}), {}, 16)", word, byte % 4 * 8);
+    default:
+      return lanes == 1 ? word : fmt::format("bitfieldExtract(int({}), {}, 8)", word, byte % 4 * 8);
+  }
 }
 
 std::string Codegen::operand(const Node& node, size_t index, const Position& at) {
@@ -159,9 +240,10 @@ std::string Codegen::operand(const Node& node, size_t index, const Position& at)
   const Shape& from = value(id).type.shape;
   const Shape& to = value(node.output).type.shape;
   if (from == to) return load(id, at);
-  Position own{at.coords, {}};
+  Position own = moved(at);
   for (size_t i = 0; i < from.size(); ++i)
     if (from[i] == 1) own.coords[i] = "0";
+  if (!from.empty() && from.back() == 1) own = {.coords = own.coords};
   return load(id, own);
 }
 
@@ -171,6 +253,52 @@ std::string Codegen::store(ValueId id, const Position& at, const std::string& ex
   return fmt::format(
       "  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape), memory_type(type.dtype),
       type.dtype == DType::kFp16 ? fmt::format("to_half({})", expression) : expression);
+}
+
+int64_t Codegen::run_length(int64_t most) const {
+  const TensorType& type = value(problem_.group.result).type;
+  const int64_t bytes = dtype_info(type.dtype).host_bytes;
+  for (int64_t length = most; length > 1 && bytes <= 4 && !type.shape.empty(); length /= 2)
+    if (type.shape.back() % length == 0 && length * bytes % 4 == 0) return length;
+  return 1;
+}
+
+std::string Codegen::store_run(const Position& first, const std::vector<std::string>& expressions) {
+  const ValueId id = problem_.group.result;
+  const TensorType& type = value(id).type;
+  if (expressions.size() == 1) return store(id, first, expressions[0]);
+  const size_t in_word = 4 / dtype_info(type.dtype).host_bytes;
+  const bool wide = expressions.size() % (4 * in_word) == 0;
+  const size_t together = wide ? 4 * in_word : in_word;
+  const size_t binding = bind(id, BindingType::kStorageBuffer,
+                              wide ? ImageFormat::kRgba32Uint : ImageFormat::kR32Uint, true);
+  Shape texels = type.shape;
+  texels.back() /= static_cast<int64_t>(together);
+  std::string text;
+  for (size_t at = 0; at < expressions.size(); at += together) {
+    std::vector<std::string> words;
+    for (size_t i = at; i < at + together; i += in_word)
+      words.push_back(packed_word(type.dtype, {expressions.data() + i, in_word}));
+    Position texel{.coords = first.coords};
+    texel.coords.back() = fmt::format("(({} + {}) / {})", first.base, at, together);
+    text += fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(texel, texels),
+                        wide ? "uvec4" : "uint", fmt::join(words, ", "));
+  }
+  return text;
+}
+
+std::string Codegen::packed_word(DType dtype, std::span<const std::string> v) {
+  const auto packed = [](const std::string& word) { return fmt::format("max({}, none)", word); };
+  switch (dtype) {
+    case DType::kFp32: return fmt::format("floatBitsToUint({})", v[0]);
+    case DType::kInt32: return fmt::format("uint({})", v[0]);
+    case DType::kFp16: return packed(fmt::format("to_half({}) | (to_half({}) << 16)", v[0], v[1]));
+    case DType::kInt16: return packed(fmt::format("uint(({} & 65535) | ({} << 16))", v[0], v[1]));
+    default:
+      return packed(
+          fmt::format("uint(({} & 255) | (({} & 255) << 8) | (({} & 255) << 16) | ({} << 24))",
+                      v[0], v[1], v[2], v[3]));
+  }
 }
 
 std::string Codegen::elementwise(const Node& node, const Position& at) {
@@ -250,7 +378,8 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
     }
     case Op::kRescale: {
       const Tensor& multiplier = *value(node.inputs[1]).constant;
-      const Position channel{{multiplier.count() == 1 ? "0" : at.coords.back()}, {}};
+      Position channel{.coords = {"0"}};
+      if (multiplier.count() > 1) channel = with_coords(at, {at.coords.back()});
       const std::string m = load(node.inputs[1], channel);
       const std::string s = load(node.inputs[2], channel);
       const auto unsigned_value = [](int64_t v, DType dtype) {
@@ -324,46 +453,65 @@ std::string Codegen::view(const Node& node, const Position& at) {
   const Shape& from = value(source).type.shape;
   const Shape& to = value(node.output).type.shape;
   const auto ints = [&](size_t index) { return value(node.inputs[index]).constant->ints(); };
-  Position mapped{at.coords, {}};
+  // Keeps the run while it is along the last dimension still.
+  Position mapped = moved(at);
+  const auto move_last = [&](int64_t by) {
+    if (mapped.in_run() && by % mapped.run == 0)
+      mapped.base = fmt::format("({} + {})", mapped.base, literal(by));
+    else
+      mapped = {.coords = mapped.coords};
+  };
   switch (node.op) {
     case Op::kIdentity: return load(source, at);
     case Op::kReshape: {
-      const std::string index = linear(at, to);
-      return load(source, split("(" + index + ")", from));
+      if (!at.in_run() || from.empty() || from.back() != to.back()) {
+        const std::string index = linear(at, to);
+        return load(source, split("(" + index + ")", from));
+      }
+      Position first{.coords = at.coords};
+      first.coords.back() = at.base;
+      mapped = with_coords(at, split("(" + linear(first, to) + ")", from).coords);
+      mapped.coords.back() = at.coords.back();
+      return load(source, mapped);
     }
     case Op::kTranspose: {
       const std::span<const int64_t> perms = node.attrs.list(Attr::kPerms);
       for (size_t i = 0; i < perms.size(); ++i)
         mapped.coords[static_cast<size_t>(perms[i])] = at.coords[i];
+      if (static_cast<size_t>(perms.back()) + 1 != from.size()) mapped = {.coords = mapped.coords};
       return load(source, mapped);
     }
     case Op::kReverse: {
       const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
       mapped.coords[axis] = fmt::format("({} - {})", from[axis] - 1, at.coords[axis]);
+      if (axis + 1 == from.size()) mapped = {.coords = mapped.coords};
       return load(source, mapped);
     }
     case Op::kSlice: {
       const std::vector<int64_t> start = ints(1);
       for (size_t i = 0; i < from.size(); ++i)
         if (start[i] != 0) mapped.coords[i] = fmt::format("({} + {})", at.coords[i], start[i]);
+      if (!start.empty() && start.back() != 0) move_last(start.back());
       return load(source, mapped);
     }
     case Op::kTile:
       for (size_t i = 0; i < from.size(); ++i)
         if (from[i] != to[i]) mapped.coords[i] = fmt::format("({} % {})", at.coords[i], from[i]);
+      if (!from.empty() && from.back() != to.back()) mapped = {.coords = mapped.coords};
       return load(source, mapped);
     case Op::kPad: {
       const std::vector<int64_t> padding = ints(1);
       std::string inside;
       for (size_t i = 0; i < from.size(); ++i) {
         if (padding[2 * i] == 0 && padding[2 * i + 1] == 0) continue;
-        mapped.coords[i] = fmt::format("({} - {})", at.coords[i], padding[2 * i]);
-        inside += fmt::format("{}uint({}) < {}u", inside.empty() ? "" : " && ", mapped.coords[i],
-                              from[i]);
+        const std::string own = fmt::format("({} - {})", at.coords[i], padding[2 * i]);
+        inside += fmt::format("{}uint({}) < {}u", inside.empty() ? "" : " && ", own, from[i]);
+        if (i + 1 == from.size()) mapped = {.coords = mapped.coords};
+        mapped.coords[i] = at.in_run() ? clamped(own, from[i] - 1) : own;
       }
       const std::string element = load(source, mapped);
       if (inside.empty()) return element;
-      return fmt::format("(({}) ? {} : {})", inside, element, load(node.inputs[2], {{"0"}, "0"}));
+      return either(at, inside, element, load(node.inputs[2], {{"0"}, "0"}));
     }
     case Op::kConcat: return concat(node, at, to[static_cast<size_t>(node.attrs.get(Attr::kAxis))]);
     case Op::kResize: {
@@ -381,15 +529,25 @@ std::string Codegen::view(const Node& node, const Position& at) {
 
 std::string Codegen::concat(const Node& node, const Position& at, int64_t extent) {
   const size_t axis = static_cast<size_t>(node.attrs.get(Attr::kAxis));
-  Position mapped{at.coords, {}};
   std::string text;
   for (size_t i = node.inputs.size(); i-- > 0;) {
     const int64_t begin = extent - value(node.inputs[i]).type.shape[axis];
-    mapped.coords[axis] =
-        begin == 0 ? at.coords[axis] : fmt::format("({} - {})", at.coords[axis], begin);
+    const int64_t size = extent - begin;
+    Position mapped = moved(at);
+    const auto own = [&](const std::string& coord) {
+      return begin == 0 ? coord : fmt::format("({} - {})", coord, begin);
+    };
+    if (at.in_run() && axis + 1 == at.coords.size() && begin % at.run == 0 && size % at.run == 0) {
+      mapped.base = clamped(own(at.base), size - at.run);
+      mapped.coords[axis] = fmt::format("({} + {})", mapped.base, at.lane);
+    } else {
+      if (axis + 1 == at.coords.size()) mapped = {.coords = mapped.coords};
+      mapped.coords[axis] =
+          at.in_run() ? clamped(own(at.coords[axis]), size - 1) : own(at.coords[axis]);
+    }
     const std::string part = load(node.inputs[i], mapped);
     text = text.empty() ? part
-                        : fmt::format("({} < {} ? {} : {})", at.coords[axis], extent, part, text);
+                        : either(at, fmt::format("{} < {}", at.coords[axis], extent), part, text);
     extent = begin;
   }
   return text;
@@ -418,8 +576,9 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
     const bool words = binding.view_format == ImageFormat::kR32Uint,
                quads = binding.view_format == ImageFormat::kRgba32Uint;
     if (binding.type == BindingType::kUniformTexelBuffer)
-      text += fmt::format("layout(set = 0, binding = {0}) uniform {1}samplerBuffer t{0};\n", i,
-                          words || quads ? 'u' : 'i');
+      text +=
+          fmt::format("layout(set = 0, binding = {0}) uniform {1}samplerBuffer t{0};\n", i,
+                      words || quads || binding.view_format == ImageFormat::kR16Uint ? 'u' : 'i');
     else
       text += fmt::format(
           "layout(set = 0, binding = {0}, std430) {1} buffer B{0} {{ {2} d[]; }} b{0};\n", i,

@@ -180,6 +180,9 @@ std::optional<TapMap> float_map(const LiteralConv& conv) {
 std::optional<TapMap> integer_map(const LiteralConv& conv) {
   return direct_map(conv, Arithmetic::kInt32);
 }
+std::optional<TapMap> double_map(const LiteralConv& conv) {
+  return direct_map(conv, Arithmetic::kDouble);
+}
 std::optional<TapMap> pair_phase_map(const LiteralConv& conv) {
   return upsampled_map(conv, Arithmetic::kDoublePair);
 }
@@ -190,20 +193,23 @@ std::optional<TapMap> float_phase_map(const LiteralConv& conv) {
 /// Every sum is proven to stay where the arithmetic is exact.
 bool is_exact(const GroupProblem& problem, Arithmetic arithmetic) {
   if (arithmetic == Arithmetic::kInt32) return true;
-  const int64_t limit = arithmetic == Arithmetic::kFloat32 ? kFloatExact : kPairExact;
+  const int64_t limit = arithmetic == Arithmetic::kFloat32  ? kFloatExact
+                        : arithmetic == Arithmetic::kDouble ? kDoubleExact
+                                                            : kPairExact;
   return problem.proof &&
          std::all_of(problem.proof->magnitude.begin(), problem.proof->magnitude.end(),
                      [&](int64_t bound) { return bound < limit; });
 }
 
-template <MakeMap make>
+template <MakeMap make, Numbers numbers = Numbers::kBytes>
 bool supports(const GroupProblem& problem, const DeviceProfile& profile) {
-  if (!LiteralConv::supports(problem, profile)) return false;
+  if (!LiteralConv::supports(problem, profile, numbers)) return false;
   const LiteralConv conv(problem, profile);
   const std::optional<TapMap> map = make(conv);
   if (!map || !is_exact(problem, map->arithmetic)) return false;
-  if (map->arithmetic == Arithmetic::kDoublePair && !profile.caps.features.has(Feature::kFloat64))
-    return false;
+  const bool in_doubles =
+      map->arithmetic == Arithmetic::kDoublePair || map->arithmetic == Arithmetic::kDouble;
+  if (in_doubles && !profile.caps.features.has(Feature::kFloat64)) return false;
   const std::optional<int64_t> modules =
       count_tap_modules(conv, *map, most_products(map->arithmetic));
   return modules && *modules <= kMaxModules;
@@ -292,6 +298,17 @@ WorkTable conv2d_i32_work(const GroupProblem& problem, const DeviceProfile& prof
 Result<std::vector<KernelSource>> conv2d_i32_emit(const GroupProblem& problem,
                                                   const DeviceProfile& profile) {
   return emit<integer_map>(problem, profile);
+}
+
+bool conv2d_s16_f64_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  return supports<double_map, Numbers::kWords>(problem, profile);
+}
+WorkTable conv2d_s16_f64_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  return work<double_map>(problem, profile);
+}
+Result<std::vector<KernelSource>> conv2d_s16_f64_emit(const GroupProblem& problem,
+                                                      const DeviceProfile& profile) {
+  return emit<double_map>(problem, profile);
 }
 
 }  // namespace shale

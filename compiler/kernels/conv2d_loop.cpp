@@ -261,10 +261,10 @@ bool conv2d_loop_supports(const GroupProblem& problem, const DeviceProfile& prof
 
 WorkTable conv2d_loop_work(const GroupProblem& problem, const DeviceProfile&) {
   WorkTable work = gpu_conv_work(problem, Work::kLoopMac, LoopEmitter(problem).macs());
-  // An element is made as by the generic kernel, and finding the place of a tap takes as long.
+  // An element is made as by the kernel of runs, and finding the place of a tap takes as long.
   const Node& head = problem.graph->node(*problem.group.head);
   const Shape& taps = problem.graph->value(head.inputs[1]).type.shape;
-  work[Work::kGenericResult] = static_cast<double>(
+  work[Work::kRunResult] = static_cast<double>(
       element_count(problem.graph->value(problem.group.result).type.shape).value_or(0) *
       (1 + taps[1] * taps[2]));
   return work;

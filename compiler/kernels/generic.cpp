@@ -1,6 +1,11 @@
 // generic: one invocation per result element, storage buffers; takes every group. The executable
 // fallback, and the naive kernel that the fast ones are measured against.
+//
+// runs: the same for CPU drivers, where a buffer is read and written lane by lane but texels are fetched for all lanes
+// at once: an invocation makes the elements of 16 bytes (4, or one) next to each other, reads texels as wide, and stores
+// once. Source: ours.
 #include <algorithm>
+#include <functional>
 #include <set>
 
 #include "compiler/kernels/codegen.h"
@@ -11,11 +16,14 @@ namespace {
 constexpr int64_t kLocalSize = 64;
 constexpr int64_t kMaxGroupsX = 65535;  // Vulkan's guaranteed maxComputeWorkGroupCount
 
-/// Code that leaves the head's result in the local `h`.
+/// Code that leaves the head's result in the locals `h0`, `h1`, ..., one for each element of a run of the
+/// result (HeadEmitter::result). What the elements share is written for each, and found to be equal by the driver.
 class HeadEmitter {
  public:
-  HeadEmitter(Codegen& codegen, const Node& node, const Position& at)
-      : c_(codegen), node_(node), at_(at) {}
+  HeadEmitter(Codegen& codegen, const Node& node, const std::vector<Position>& run)
+      : c_(codegen), node_(node), run_(run), at_(run[0]) {}
+
+  static std::string result(size_t element) { return fmt::format("h{}", element); }
 
   std::string emit() {
     switch (node_.op) {
@@ -36,19 +44,36 @@ class HeadEmitter {
 
  private:
   const Shape& shape(size_t operand) const { return c_.value(node_.inputs[operand]).type.shape; }
-  DType result() const { return c_.value(node_.output).type.dtype; }
-  const char* accumulator() const { return Codegen::register_type(result()); }
+  DType result_dtype() const { return c_.value(node_.output).type.dtype; }
+  const char* accumulator() const { return Codegen::register_type(result_dtype()); }
   bool is_real() const { return is_float(c_.value(node_.inputs[0]).type.dtype); }
-  std::string zero() const { return is_float(result()) ? "0.0" : Codegen::literal(0, result()); }
-  /// A register `acc` with this value.
+  std::string zero() const {
+    return is_float(result_dtype()) ? "0.0" : Codegen::literal(0, result_dtype());
+  }
+  static std::string acc(size_t element) { return fmt::format("acc{}", element); }
+  /// Text for each element of the run.
+  std::string each(const std::function<std::string(size_t element)>& text) const {
+    std::string all;
+    for (size_t i = 0; i < run_.size(); ++i) all += text(i);
+    return all;
+  }
+  /// A register `acc` of each element with this value.
+  std::string start(const std::function<std::string(size_t element)>& value) const {
+    return each([&](size_t i) {
+      return fmt::format("  {} = {};\n", Codegen::declare(result_dtype(), acc(i)), value(i));
+    });
+  }
   std::string start(const std::string& value) const {
-    return fmt::format("  {} = {};\n", Codegen::declare(result(), "acc"), value);
+    return start([&](size_t) { return value; });
   }
-  /// The head's result from this expression; of an FP16 one rounded.
-  std::string finish(const std::string& value) const {
-    return fmt::format("  {} = {};\n", Codegen::declare(result(), "h"),
-                       Codegen::rounded(value, result()));
+  /// The head's results from these expressions; of an FP16 rounded.
+  std::string finish(const std::function<std::string(size_t element)>& value) const {
+    return each([&](size_t i) {
+      return fmt::format("  {} = {};\n", Codegen::declare(result_dtype(), result(i)),
+                         Codegen::rounded(value(i), result_dtype()));
+    });
   }
+  std::string finish() const { return finish(acc); }
   /// What a running max of floats starts from: lost against any number.
   std::string lowest(const char* which) const {
     if (node_.attrs.get(Attr::kNanMode) == kIgnoreNan) return "uintBitsToFloat(0x7fc00000u)";
@@ -56,16 +81,44 @@ class HeadEmitter {
                                             : "uintBitsToFloat(0x7f800000u)";
   }
   std::string load(size_t operand, std::vector<std::string> coords) {
-    return c_.load(node_.inputs[operand], {std::move(coords), {}});
+    return c_.load(node_.inputs[operand], {.coords = std::move(coords)});
+  }
+  /// The position with these coordinates whose last one is that of element `i` of the run.
+  Position along(size_t i, std::vector<std::string> coords) const {
+    Position at = run_[i];
+    coords.push_back(at.coords.back());
+    at.coords = std::move(coords);
+    at.linear.clear();
+    return at;
   }
   /// `(x - zp)`, or x alone where the zero point is 0.
-  std::string centred(size_t operand, std::vector<std::string> coords, size_t zp_operand) {
+  std::string centred(const std::string& x, size_t zp_operand) const {
     const int64_t zp = c_.value(node_.inputs[zp_operand]).constant->get(0);
-    const std::string x = load(operand, std::move(coords));
     return is_real() || zp == 0 ? x : fmt::format("({} - {})", x, Codegen::literal(zp));
   }
-  static std::string loop(const std::string& name, int64_t count, const std::string& inner) {
-    return fmt::format("  for (int {0} = 0; {0} < {1}; ++{0}) {{\n{2}  }}\n", name, count, inner);
+  std::string centred(size_t operand, const Position& at, size_t zp_operand) {
+    return centred(c_.load(node_.inputs[operand], at), zp_operand);
+  }
+  static std::string loop(const std::string& name, int64_t count, const std::string& inner,
+                          int64_t step = 1) {
+    return fmt::format("  for (int {0} = 0; {0} < {1}; {0} += {3}) {{\n{2}  }}\n", name, count,
+                       inner, step);
+  }
+  /// A loop over the last dimension of some operands, in order, `kSummed` elements a turn where they are fetched
+  /// together and their number allows.
+  std::string loop_along(const std::string& name, int64_t count,
+                         const std::function<std::string(const Position& element)>& inner) const {
+    const int64_t step = c_.reads_texels() && count % kSummed == 0 ? kSummed : 1;
+    std::string body;
+    for (const Position& element : Position::run_at({""}, name, step)) body += inner(element);
+    return loop(name, count, body, step);
+  }
+  static constexpr int64_t kSummed = 4;
+  /// The position of such an element, after `coords`.
+  static Position ending(std::vector<std::string> coords, Position element) {
+    coords.push_back(element.coords.back());
+    element.coords = std::move(coords);
+    return element;
   }
 
   /// The four convolutions differ in how a tap finds its input and its weight.
@@ -79,7 +132,6 @@ class HeadEmitter {
     const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
     const std::span<const int64_t> dilation = node_.attrs.list(Attr::kDilation);
     const std::span<const int64_t> pad = node_.attrs.list(transpose ? Attr::kOutPad : Attr::kPad);
-    const std::string& oc = at_.coords.back();
 
     std::vector<std::string> in_at{at_.coords[0]};
     std::vector<std::string> tap;
@@ -87,20 +139,34 @@ class HeadEmitter {
       in_at.push_back(fmt::format("p{}", axis));
       tap.push_back(fmt::format("k{}", axis));
     }
-    std::string product;
+    const auto product = [&](size_t i, const std::string& x, const std::string& w) {
+      return fmt::format("    {} += {}({}) * {};\n", acc(i), accumulator(), centred(x, 3),
+                         centred(w, 4));
+    };
+    std::string code;
     if (depthwise) {
+      // HWCM, and output channel c * M + m: the last two are one dimension.
       const int64_t multiplier = weight[3];
-      in_at.push_back(fmt::format("({} / {})", oc, multiplier));
-      tap.push_back(fmt::format("({} / {})", oc, multiplier));
-      tap.push_back(fmt::format("({} % {})", oc, multiplier));
+      const Shape merged{weight[0], weight[1], weight[2] * weight[3]};
+      code = each([&](size_t i) {
+        Position from = along(i, in_at);
+        if (multiplier > 1) {
+          from = {.coords = std::move(from.coords)};
+          from.coords.back() = fmt::format("({} / {})", from.coords.back(), multiplier);
+        }
+        return product(i, c_.load(node_.inputs[0], from),
+                       c_.load_as(node_.inputs[1], merged, along(i, tap)));
+      });
     } else {
-      in_at.push_back("c");
-      tap.insert(tap.begin(), oc);
-      tap.push_back("c");
+      code = loop_along("c", weight.back(), [&](const Position& c) {
+        return each([&](size_t i) {
+          std::vector<std::string> row = tap;
+          row.insert(row.begin(), run_[i].coords.back());
+          return product(i, c_.load(node_.inputs[0], ending(in_at, c)),
+                         c_.load(node_.inputs[1], ending(row, c)));
+        });
+      });
     }
-    product = fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, in_at, 3),
-                          centred(1, tap, 4));
-    std::string code = depthwise ? product : loop("c", weight.back(), product);
     for (size_t axis = axes; axis-- > 0;) {
       const std::string& out = at_.coords[axis + 1];
       std::string position;
@@ -116,18 +182,27 @@ class HeadEmitter {
       position += fmt::format("    if (uint(p{0}) >= {1}u) continue;\n", axis, in[axis + 1]);
       code = loop(fmt::format("k{}", axis), weight[first_kernel_axis + axis], position + code);
     }
-    const std::string bias = load(2, {shape(2)[0] == 1 ? "0" : oc});
+    const auto bias = [&](size_t i) {
+      return shape(2)[0] == 1 ? load(2, {"0"}) : c_.load(node_.inputs[2], along(i, {}));
+    };
     // Integers start from the bias, which the driver finds no worse; a sum of floats ends with it.
-    if (is_real()) return start("0.0") + code + finish("(acc + " + bias + ")");
-    return start(bias) + code + finish("acc");
+    if (!is_real()) return start(bias) + code + finish();
+    return start("0.0") + code +
+           finish([&](size_t i) { return fmt::format("({} + {})", acc(i), bias(i)); });
   }
 
   std::string matmul() {
     const std::vector<std::string>& o = at_.coords;
-    const std::string product =
-        fmt::format("    acc += {}({}) * {};\n", accumulator(), centred(0, {o[0], o[1], "c"}, 2),
-                    centred(1, {o[0], "c", o[2]}, 3));
-    return start(zero()) + loop("c", shape(0)[2], product) + finish("acc");
+    return start(zero()) +
+           loop_along("c", shape(0)[2],
+                      [&](const Position& c) {
+                        return each([&](size_t i) {
+                          return fmt::format("    {} += {}({}) * {};\n", acc(i), accumulator(),
+                                             centred(0, ending({o[0], o[1]}, c), 2),
+                                             centred(1, along(i, {o[0], c.coords.back()}), 3));
+                        });
+                      }) +
+           finish();
   }
 
   std::string pool() {
@@ -135,13 +210,16 @@ class HeadEmitter {
     const std::span<const int64_t> kernel = node_.attrs.list(Attr::kKernel);
     const std::span<const int64_t> stride = node_.attrs.list(Attr::kStride);
     const std::span<const int64_t> pad = node_.attrs.list(Attr::kPad);
-    const IntRange range = dtype_range(result());
-    const std::vector<std::string> tap{at_.coords[0], "p0", "p1", at_.coords[3]};
-    const std::string larger = is_real() && !average
-                                   ? Codegen::extremum(node_, "max", "acc", load(0, tap))
-                                   : fmt::format("max(acc, {})", load(0, tap));
-    std::string code = average ? fmt::format("    acc += {}; ++count;\n", centred(0, tap, 1))
-                               : fmt::format("    acc = {};\n", larger);
+    const IntRange range = dtype_range(result_dtype());
+    const auto tap = [&](size_t i) { return along(i, {at_.coords[0], "p0", "p1"}); };
+    std::string code = each([&](size_t i) {
+      if (average) return fmt::format("    {} += {};\n", acc(i), centred(0, tap(i), 1));
+      const std::string x = c_.load(node_.inputs[0], tap(i));
+      return fmt::format("    {} = {};\n", acc(i),
+                         is_real() ? Codegen::extremum(node_, "max", acc(i), x)
+                                   : fmt::format("max({}, {})", acc(i), x));
+    });
+    if (average) code += "    ++count;\n";
     for (size_t axis = 2; axis-- > 0;) {
       const std::string position = fmt::format(
           "    int p{0} = {1} * {2} - {3} + k{0};\n    if (uint(p{0}) >= {4}u) continue;\n", axis,
@@ -149,15 +227,20 @@ class HeadEmitter {
       code = loop(fmt::format("k{}", axis), kernel[axis], position + code);
     }
     if (!average)
-      return start(is_real() ? lowest("max") : std::to_string(range.min)) + code + finish("acc");
+      return start(is_real() ? lowest("max") : std::to_string(range.min)) + code + finish();
     if (is_real())
-      return start("0.0") + "  int count = 0;\n" + code + finish("(acc / float(count))");
+      return start("0.0") + "  int count = 0;\n" + code +
+             finish([](size_t i) { return fmt::format("({} / float(count))", acc(i)); });
     c_.use_int64();
     const int64_t zp = c_.value(node_.inputs[2]).constant->get(0);
-    return fmt::format(
-        "  int acc = 0;\n  int count = 0;\n{}  int h = clamp(average_pool(acc, count) + {}, {}, "
-        "{});\n",
-        code, Codegen::literal(zp), range.min, range.max);
+    // Whatever the result is, its sum is an int.
+    std::string sums, results;
+    for (size_t i = 0; i < run_.size(); ++i) {
+      sums += fmt::format("  int {} = 0;\n", acc(i));
+      results += fmt::format("  int {} = clamp(average_pool({}, count) + {}, {}, {});\n", result(i),
+                             acc(i), Codegen::literal(zp), range.min, range.max);
+    }
+    return "  int count = 0;\n" + sums + code + results;
   }
 
   std::string bilinear() {
@@ -171,6 +254,9 @@ class HeadEmitter {
           "  int u{0} = max(q{0}, 0);\n  int v{0} = min(q{0} + 1, {5});\n",
           axis, at_.coords[axis + 1], scale[2 * axis + 1], Codegen::literal(offset[axis]),
           scale[2 * axis], shape(0)[axis + 1] - 1);
+    const auto texel = [&](size_t i, const char* y, const char* x) {
+      return c_.load(node_.inputs[0], along(i, {at_.coords[0], y, x}));
+    };
     if (is_real()) {
       for (size_t axis = 0; axis < 2; ++axis)
         code += fmt::format("  precise float d{0} = float(f{0}) / {1}.0, n{0} = 1.0 - d{0};\n",
@@ -178,90 +264,140 @@ class HeadEmitter {
       code += start("0.0");
       for (const auto& [y, wy] : {std::pair{"u0", "n0"}, std::pair{"v0", "d0"}})
         for (const auto& [x, wx] : {std::pair{"u1", "n1"}, std::pair{"v1", "d1"}})
-          code += fmt::format("  acc += {} * {} * {};\n",
-                              load(0, {at_.coords[0], y, x, at_.coords[3]}), wy, wx);
-      return code + finish("acc");
+          for (size_t i = 0; i < run_.size(); ++i)
+            code += fmt::format("  {} += {} * {} * {};\n", acc(i), texel(i, y, x), wy, wx);
+      return code + finish();
     }
-    const auto term = [&](const char* y, const char* x, const std::string& weight_y,
-                          const std::string& weight_x) {
-      return fmt::format("{}({}) * {} * {}", accumulator(),
-                         load(0, {at_.coords[0], y, x, at_.coords[3]}), weight_y, weight_x);
-    };
     const std::string near_y = fmt::format("({} - f0)", scale[0]),
                       near_x = fmt::format("({} - f1)", scale[2]);
-    return code + fmt::format("  {} h = {} + {} + {} + {};\n", accumulator(),
-                              term("u0", "u1", near_y, near_x), term("u0", "v1", near_y, "f1"),
-                              term("v0", "u1", "f0", near_x), term("v0", "v1", "f0", "f1"));
+    return code + each([&](size_t i) {
+             const auto term = [&](const char* y, const char* x, const std::string& weight_y,
+                                   const std::string& weight_x) {
+               return fmt::format("{}({}) * {} * {}", accumulator(), texel(i, y, x), weight_y,
+                                  weight_x);
+             };
+             return fmt::format("  {} {} = {} + {} + {} + {};\n", accumulator(), result(i),
+                                term("u0", "u1", near_y, near_x), term("u0", "v1", near_y, "f1"),
+                                term("v0", "u1", "f0", near_x), term("v0", "v1", "f0", "f1"));
+           });
   }
 
   std::string gather() {
     // An index outside the values has no result in TOSA; clamped, it cannot read foreign memory.
-    const std::string index = load(1, {at_.coords[0], at_.coords[1]});
-    return fmt::format("  int k = clamp({}, 0, {});\n  {} h = {};\n", index, shape(0)[1] - 1,
-                       accumulator(), load(0, {at_.coords[0], "k", at_.coords[2]}));
+    return fmt::format("  int k = clamp({}, 0, {});\n", load(1, {at_.coords[0], at_.coords[1]}),
+                       shape(0)[1] - 1) +
+           each([&](size_t i) {
+             return fmt::format("  {} {} = {};\n", accumulator(), result(i),
+                                c_.load(node_.inputs[0], along(i, {at_.coords[0], "k"})));
+           });
   }
 
   std::string scatter() {
-    const std::string take =
-        fmt::format("    if ({} == {}) acc = {};\n", load(1, {at_.coords[0], "w"}), at_.coords[1],
-                    load(2, {at_.coords[0], "w", at_.coords[2]}));
-    return fmt::format("  {0} acc = {1};\n{2}  {0} h = acc;\n", accumulator(), load(0, at_.coords),
-                       loop("w", shape(1)[1], take));
+    const std::string take = each([&](size_t i) {
+      return fmt::format("    {} = {};\n", acc(i),
+                         c_.load(node_.inputs[2], along(i, {at_.coords[0], "w"})));
+    });
+    return each([&](size_t i) {
+             return fmt::format("  {} {} = {};\n", accumulator(), acc(i),
+                                c_.load(node_.inputs[0], run_[i]));
+           }) +
+           loop("w", shape(1)[1],
+                fmt::format("    if ({} == {}) {{\n{}    }}\n", load(1, {at_.coords[0], "w"}),
+                            at_.coords[1], take)) +
+           each([&](size_t i) {
+             return fmt::format("  {} {} = {};\n", accumulator(), result(i), acc(i));
+           });
   }
 
   std::string argmax() {
     const size_t axis = static_cast<size_t>(node_.attrs.get(Attr::kAxis));
-    std::vector<std::string> coords = at_.coords;
-    coords.insert(coords.begin() + static_cast<std::ptrdiff_t>(axis), "k");
-    const std::string element = load(0, coords);
-    if (is_real()) {
-      const bool ignore = node_.attrs.get(Attr::kNanMode) == kIgnoreNan;
-      const std::string wins = ignore ? "x > best || (is_nan(best) && !is_nan(x))"
-                                      : "!is_nan(best) && (x > best || is_nan(x))";
-      return fmt::format(
-          "  int h = 0;\n  float best = {};\n{}", lowest("max"),
-          loop("k", shape(0)[axis],
-               fmt::format("    float x = {};\n    if (k == 0 || {}) {{ best = x; h = k; }}\n",
-                           element, wins)));
-    }
-    return fmt::format(
-        "  int h = 0;\n  int best = {};\n{}", dtype_range(c_.value(node_.inputs[0]).type.dtype).min,
-        loop("k", shape(0)[axis],
-             fmt::format("    int x = {};\n    if (x > best) {{ best = x; h = k; }}\n", element)));
+    const bool ignore = is_real() && node_.attrs.get(Attr::kNanMode) == kIgnoreNan;
+    const std::string first =
+        is_real() ? lowest("max")
+                  : Codegen::literal(dtype_range(c_.value(node_.inputs[0]).type.dtype).min);
+    const char* type = is_real() ? "float" : "int";
+    const auto step = [&](size_t i, const Position& element, const std::string& k) {
+      const std::string best = fmt::format("best{}", i), x = "x";
+      const std::string wins = !is_real() ? "x > " + best
+                               : ignore
+                                   ? fmt::format("x > {0} || (is_nan({0}) && !is_nan(x))", best)
+                                   : fmt::format("!is_nan({0}) && (x > {0} || is_nan(x))", best);
+      return fmt::format("    {{\n    {} x = {};\n    if ({}{}) {{ {} = x; {} = {}; }}\n    }}\n",
+                         type, c_.load(node_.inputs[0], element), is_real() ? k + " == 0 || " : "",
+                         wins, best, result(i), k);
+    };
+    std::string code = each([&](size_t i) {
+      return fmt::format("  int {} = 0;\n  {} best{} = {};\n", result(i), type, i, first);
+    });
+    return code + over(axis, [&](size_t i, const Position& element, const std::string& k) {
+             return step(i, element, k);
+           });
   }
 
   std::string reduce() {
     const size_t axis = static_cast<size_t>(node_.attrs.get(Attr::kAxis));
-    std::vector<std::string> coords = at_.coords;
-    coords[axis] = "k";
-    const std::string x = load(0, coords);
-    std::string first = zero(), step;
+    std::string first = zero();
+    std::function<std::string(const std::string& a, const std::string& x)> step;
+    const auto infix = [](const char* symbol) {
+      return [symbol](const std::string& a, const std::string& x) {
+        return fmt::format("{} {} {}", a, symbol, x);
+      };
+    };
+    const auto extreme = [&](const char* which, int64_t limit) {
+      first = is_real() ? lowest(which) : Codegen::literal(limit);
+      step = [this, which](const std::string& a, const std::string& x) {
+        return is_real() ? Codegen::extremum(node_, which, a, x)
+                         : fmt::format("{}({}, {})", which, a, x);
+      };
+    };
     switch (node_.op) {
-      case Op::kReduceSum: step = "acc + " + x; break;
-      case Op::kReduceAny: step = "acc | " + x; break;
+      case Op::kReduceSum: step = infix("+"); break;
+      case Op::kReduceAny: step = infix("|"); break;
       case Op::kReduceAll:
         first = "1";
-        step = "acc & " + x;
+        step = infix("&");
         break;
-      case Op::kReduceMax:
-        first = is_real() ? lowest("max") : Codegen::literal(dtype_range(result()).min);
-        step =
-            is_real() ? Codegen::extremum(node_, "max", "acc", x) : fmt::format("max(acc, {})", x);
-        break;
-      case Op::kReduceMin:
-        first = is_real() ? lowest("min") : Codegen::literal(dtype_range(result()).max);
-        step =
-            is_real() ? Codegen::extremum(node_, "min", "acc", x) : fmt::format("min(acc, {})", x);
-        break;
+      case Op::kReduceMax: extreme("max", dtype_range(result_dtype()).min); break;
+      case Op::kReduceMin: extreme("min", dtype_range(result_dtype()).max); break;
       default: SHALE_CHECK(false && "no reduction");
     }
-    return start(first) + loop("k", shape(0)[axis], fmt::format("    acc = {};\n", step)) +
-           finish("acc");
+    return start(first) +
+           over(axis,
+                [&](size_t i, const Position& element, const std::string&) {
+                  return fmt::format("    {} = {};\n", acc(i),
+                                     step(acc(i), c_.load(node_.inputs[0], element)));
+                }) +
+           finish();
+  }
+
+  /// A loop over `axis` of operand 0, in order: `text` of an element of the run, the element of the operand and its
+  /// coordinate along the axis. The result lacks that dimension (ARGMAX) or has it as 1.
+  std::string over(
+      size_t axis,
+      const std::function<std::string(size_t, const Position&, const std::string&)>& text) const {
+    const Shape& in = shape(0);
+    const bool is_last = axis + 1 == in.size();
+    const auto element = [&](size_t i, const Position& k) {
+      std::vector<std::string> coords = run_[i].coords;
+      if (coords.size() < in.size())
+        coords.insert(coords.begin() + static_cast<std::ptrdiff_t>(axis), k.coords.back());
+      else
+        coords[axis] = k.coords.back();
+      Position at = is_last ? k : run_[i];
+      at.coords = std::move(coords);
+      at.linear.clear();
+      return text(i, at, k.coords.back());
+    };
+    const auto all = [&](const Position& k) {
+      return each([&](size_t i) { return element(i, k); });
+    };
+    return is_last ? loop_along("k", in[axis], all) : loop("k", in[axis], all({.coords = {"k"}}));
   }
 
   Codegen& c_;
   const Node& node_;
-  const Position& at_;
+  const std::vector<Position>& run_;
+  const Position& at_;  ///< the first of the run: the coordinates before the last are those of all
 };
 
 }  // namespace
@@ -281,10 +417,13 @@ WorkTable generic_work(const GroupProblem& problem, const DeviceProfile&) {
 
 namespace {
 
-/// One invocation for each element of `shape`, numbered from 0: `body` starts with its position, the
-/// names of which are in `at`.
-KernelSource grid_over(const Shape& shape, Position& at, std::string& body) {
-  const int64_t count = *element_count(shape);
+/// One invocation for each run of `length` elements of `shape`, numbered from 0: `body` starts with the position of
+/// its elements, the names of which are returned.
+std::vector<Position> grid_over(const Shape& shape, int64_t length, std::string& body,
+                                KernelSource& source) {
+  Shape runs = shape;
+  if (length > 1) runs.back() /= length;
+  const int64_t count = *element_count(runs);
   const int64_t groups = (count + kLocalSize - 1) / kLocalSize;
   const int64_t groups_x = std::min(groups, kMaxGroupsX);
   const int64_t groups_y = (groups + groups_x - 1) / groups_x;
@@ -292,17 +431,19 @@ KernelSource grid_over(const Shape& shape, Position& at, std::string& body) {
       "  uint invocation = gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * {}u;\n"
       "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
       groups_x * kLocalSize, count);
-  at = Codegen::split("index", shape);
+  Position at = Codegen::split("index", runs);
   // One named local per dimension keeps the expressions below short.
   for (size_t i = 0; i < at.coords.size(); ++i) {
+    const bool is_run = length > 1 && i + 1 == at.coords.size();
+    if (at.coords[i] == "0" && !is_run) continue;
     const std::string name = fmt::format("o{}", i);
-    if (at.coords[i] == "0") continue;
-    body += fmt::format("  int {} = {};\n", name, at.coords[i]);
+    body += is_run ? fmt::format("  int {} = {} * {};\n", name, at.coords[i], length)
+                   : fmt::format("  int {} = {};\n", name, at.coords[i]);
     at.coords[i] = name;
   }
-  KernelSource source;
   source.workgroups = {static_cast<uint32_t>(groups_x), static_cast<uint32_t>(groups_y), 1};
-  return source;
+  if (length == 1) return {at};
+  return Position::run_at(at.coords, at.coords.back(), length);
 }
 
 void finish(KernelSource& source, const Codegen& codegen, const std::string& body) {
@@ -330,10 +471,10 @@ std::vector<KernelSource> concat_in_parts(const GroupProblem& problem, size_t ma
       slab[axis] += problem.graph->value(operand).type.shape[axis];
     }
     Codegen codegen(problem);
-    Position at;
     std::string body;
-    KernelSource source = grid_over(slab, at, body);
-    Position to{at.coords, {}};
+    KernelSource source;
+    const Position at = grid_over(slab, 1, body, source)[0];
+    Position to{.coords = at.coords};
     if (begin > 0) to.coords[axis] = fmt::format("({} + {})", at.coords[axis], begin);
     body += codegen.store(node.output, to, codegen.concat(part, at, slab[axis]));
     finish(source, codegen, body);
@@ -341,6 +482,46 @@ std::vector<KernelSource> concat_in_parts(const GroupProblem& problem, size_t ma
     begin += slab[axis];
   }
   return sources;
+}
+
+/// The most elements of a run: sums keep one register an element, and a CONCAT of many tensors is written out for each.
+int64_t longest_run(const GroupProblem& problem) {
+  int64_t most = 16;
+  for (const NodeId id : problem.group.nodes) {
+    const Node& node = problem.graph->node(id);
+    if (node.op == Op::kConcat && node.inputs.size() > 8) most = std::min<int64_t>(most, 4);
+  }
+  if (!problem.group.head) return most;
+  switch (problem.graph->node(*problem.group.head).op) {
+    case Op::kConv2d:
+    case Op::kConv3d:
+    case Op::kTransposeConv2d:
+    case Op::kMatmul: return std::min<int64_t>(most, 4);
+    default: return most;
+  }
+}
+
+/// One invocation for `length` elements of the group's result next to each other.
+KernelSource emit_runs(const GroupProblem& problem, Codegen& codegen, int64_t length) {
+  const Node& last = problem.graph->node(problem.group.nodes.back());
+  std::string body;
+  KernelSource source;
+  const std::vector<Position> run =
+      grid_over(codegen.value(problem.group.result).type.shape, length, body, source);
+  if (length > 1) body += fmt::format("  uint none = uint(index >= {});\n", INT32_MAX);
+  if (problem.group.head)
+    body += HeadEmitter(codegen, problem.graph->node(*problem.group.head), run).emit();
+  std::vector<std::string> values;
+  for (size_t i = 0; i < run.size(); ++i) {
+    if (problem.group.head)
+      codegen.locals()[problem.graph->node(*problem.group.head).output] = HeadEmitter::result(i);
+    codegen.epilogue(body, run[i], length > 1 ? fmt::format("_{}", i) : "");
+    values.push_back(op_kind(last) == OpKind::kView ? codegen.view(last, run[i])
+                                                    : codegen.load(last.output, run[i]));
+  }
+  body += codegen.store_run(run[0], values);
+  finish(source, codegen, body);
+  return source;
 }
 
 }  // namespace
@@ -353,20 +534,29 @@ Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem,
       buffer_count(*problem.graph, problem.group.nodes) > max_buffers)
     return concat_in_parts(problem, max_buffers);
   Codegen codegen(problem);
-  Position at;
-  std::string body;
-  KernelSource source = grid_over(codegen.value(problem.group.result).type.shape, at, body);
-  if (problem.group.head) {
-    const Node& head = problem.graph->node(*problem.group.head);
-    body += HeadEmitter(codegen, head, at).emit();
-    codegen.locals()[head.output] = "h";
-  }
-  codegen.epilogue(body, at, "");
-  const std::string value =
-      op_kind(last) == OpKind::kView ? codegen.view(last, at) : codegen.load(last.output, at);
-  body += codegen.store(problem.group.result, at, value);
-  finish(source, codegen, body);
-  return std::vector<KernelSource>{std::move(source)};
+  return std::vector<KernelSource>{emit_runs(problem, codegen, 1)};
+}
+
+bool runs_supports(const GroupProblem& problem, const DeviceProfile& profile) {
+  const DeviceCaps& caps = profile.caps;
+  return profile.literal_weights &&
+         buffer_count(*problem.graph, problem.group.nodes) <=
+             std::min<uint64_t>({caps.max_storage_buffers, caps.max_texel_buffers, kMaxBindings});
+}
+
+WorkTable runs_work(const GroupProblem& problem, const DeviceProfile& profile) {
+  WorkTable work = generic_work(problem, profile);
+  std::swap(work[Work::kGenericMac], work[Work::kRunMac]);
+  std::swap(work[Work::kGenericResult], work[Work::kRunResult]);
+  return work;
+}
+
+Result<std::vector<KernelSource>> runs_emit(const GroupProblem& problem,
+                                            const DeviceProfile& profile) {
+  Codegen codegen(problem);
+  codegen.read_as_texels(profile.caps.max_texel_elements);
+  return std::vector<KernelSource>{
+      emit_runs(problem, codegen, codegen.run_length(longest_run(problem)))};
 }
 
 }  // namespace shale

@@ -41,17 +41,21 @@ LiteralConv::LiteralConv(const GroupProblem& problem, const DeviceProfile& profi
       weight_(*graph_.value(node_.inputs[1]).constant),
       taps_(weight_.type.shape),
       producers_(graph_.producers()),
-      codegen_(problem) {
+      codegen_(problem),
+      element_bytes_(dtype_info(input_dtype()).bits / 8) {
   if (is_depthwise()) taps_ = {taps_[2] * taps_[3], taps_[0], taps_[1], taps_[2]};
   codegen_.read_tables_as_texels();
   const std::vector<int64_t> leaves = leaf_channels(node_.inputs[0]);
-  for (const int64_t lanes : {16, 4})
+  for (const int64_t bytes : {16, 4}) {
+    const int64_t lanes = bytes / element_bytes_;
     if (lanes_ == 1 &&
         std::all_of(leaves.begin(), leaves.end(), [&](int64_t c) { return c % lanes == 0; }))
       lanes_ = lanes;
+  }
 }
 
-bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& profile) {
+bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& profile,
+                           Numbers numbers) {
   if (!profile.literal_weights || !problem.group.head) return false;
   const Graph& graph = *problem.graph;
   const Node& node = head_of(problem);
@@ -59,9 +63,16 @@ bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& pro
   const auto is = [&](size_t operand, DType dtype) {
     return graph.value(node.inputs[operand]).type.dtype == dtype;
   };
-  if (!is(0, DType::kInt8) || !is(1, DType::kInt8)) return false;
-  if (!graph.value(node.inputs[1]).is_constant() || !graph.value(node.inputs[2]).is_constant())
-    return false;
+  switch (numbers) {
+    case Numbers::kBytes:
+      if (!is(0, DType::kInt8) || (!is(1, DType::kInt8) && !is(1, DType::kInt4))) return false;
+      break;
+    case Numbers::kWords:
+      if (!is(0, DType::kInt16)) return false;
+      break;
+  }
+  const Value& weight = graph.value(node.inputs[1]);
+  if (!weight.is_constant() || !graph.value(node.inputs[2]).is_constant()) return false;
   if (op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView) return false;
   const LiteralConv conv(problem, profile);
   if (conv.leaf_channels(node.inputs[0]).empty()) return false;
@@ -137,8 +148,12 @@ std::string LiteralConv::fetch(ValueId id, int64_t c, const std::string& y, cons
                     "  {0} texel = {4};\n  return inside ? texel : {0}(outside);\n}}\n\n",
                     texel_type(), name, shape[1], shape[2], body));
   }
-  const uint32_t u = static_cast<uint32_t>(outside + 128) & 255u;
-  return fmt::format("{}(n, {}, {}, {}u)", name, y, x, lanes_ == 1 ? u : u * 0x01010101u);
+  uint32_t word = static_cast<uint32_t>(outside);
+  if (element_bytes_ == 1) word = static_cast<uint32_t>(outside + 128) & 255u;
+  if (element_bytes_ == 2) word &= 0xffffu;
+  if (lanes_ > 1)
+    word *= element_bytes_ == 1 ? 0x01010101u : element_bytes_ == 2 ? 0x00010001u : 1u;
+  return fmt::format("{}(n, {}, {}, {}u)", name, y, x, word);
 }
 
 /// The same where row y and column x are inside the value.
@@ -146,16 +161,17 @@ std::string LiteralConv::inside(ValueId id, int64_t c) {
   const Node* view = folded(id);
   const Shape& shape = graph_.value(id).type.shape;
   if (!view) {
-    const ImageFormat format = lanes_ == 16  ? ImageFormat::kRgba32Uint
-                               : lanes_ == 4 ? ImageFormat::kR32Uint
-                                             : ImageFormat::kR8Sint;
+    const ImageFormat format = is_wide()                      ? ImageFormat::kRgba32Uint
+                               : lanes_ * element_bytes_ == 4 ? ImageFormat::kR32Uint
+                               : element_bytes_ == 2          ? ImageFormat::kR16Uint
+                                                              : ImageFormat::kR8Sint;
     const std::string texel =
         fmt::format("texelFetch(t{}, ((n * {} + y) * {} + x) * {} + {})",
                     codegen_.bind(id, BindingType::kUniformTexelBuffer, format, false), shape[1],
                     shape[2], shape[3] / lanes_, c / lanes_);
-    return lanes_ == 16  ? texel + " ^ 0x80808080u"
-           : lanes_ == 4 ? texel + ".x ^ 0x80808080u"
-                         : fmt::format("uint({}.x + 128)", texel);
+    if (format == ImageFormat::kR8Sint) return fmt::format("uint({}.x + 128)", texel);
+    return fmt::format("{}{}{}", texel, is_wide() ? "" : ".x",
+                       element_bytes_ == 1 ? " ^ 0x80808080u" : "");
   }
   const auto numbers = [&](size_t index) {
     return graph_.value(view->inputs[index]).constant->ints();
@@ -194,6 +210,15 @@ std::string LiteralConv::byte(size_t index, int64_t c, int shift) const {
              : fmt::format("({} & {}u)", moved, uint32_t{255} << shift);
 }
 
+std::string LiteralConv::number(size_t index, int64_t c) const {
+  if (element_bytes_ == 1) return byte(index, c);
+  std::string word = texel(index, c);
+  const int64_t at = c % lanes_ * element_bytes_;
+  if (is_wide()) word += fmt::format(".{}", "xyzw"[static_cast<size_t>(at / 4)]);
+  const bool is_upper = at % 4 != 0;
+  return fmt::format("(int({}) >> 16)", is_upper ? word : word + " << 16");
+}
+
 std::string LiteralConv::split(const std::string& sum, int shift) {
   // Adding and taking off 1.5 * 2^52 rounds to an integer. In a function, since `precise` would go on
   // to everything that the sum is made from.
@@ -218,7 +243,7 @@ std::string LiteralConv::double_literal(double value) {
 
 int64_t LiteralConv::offset(int64_t oc) const {
   const Shape& taps = weight_shape();
-  const int64_t correction = 128 + input_zero_point();
+  const int64_t correction = element_bytes_ == 1 ? 128 + input_zero_point() : 0;
   const Tensor& bias = *graph_.value(node_.inputs[2]).constant;
   int64_t offset = bias.get(bias.count() == 1 ? 0 : oc);
   const auto [from, to] = read_by(oc, oc + 1);
@@ -246,11 +271,13 @@ std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc, int6
     const Tensor& tensor = *graph_.value(node.inputs[operand]).constant;
     return tensor.get(tensor.count() == 1 ? 0 : oc);
   };
-  if (graph_.value(node.output).type.dtype != DType::kInt8 ||
-      node.attrs.flag(Attr::kInputUnsigned) || node.attrs.flag(Attr::kOutputUnsigned) ||
+  const DType to = graph_.value(node.output).type.dtype;
+  if ((to != DType::kInt8 && to != DType::kInt16) || node.attrs.flag(Attr::kInputUnsigned) ||
+      node.attrs.flag(Attr::kOutputUnsigned) ||
       node.attrs.get(Attr::kRoundingMode) != kSingleRound || constant(3) != 0)
     return std::nullopt;
   const int64_t multiplier = constant(1), shift = constant(2), zero_point = constant(4),
+                half = to == DType::kInt8 ? 128 : 32768,
                 low = problem_.proof->min[static_cast<size_t>(oc)],
                 high = problem_.proof->max[static_cast<size_t>(oc)];
   constexpr int64_t kExact = int64_t{1} << 53, kWord = int64_t{1} << 31;
@@ -259,7 +286,7 @@ std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc, int6
     return std::nullopt;
   // The result times 2^shift, before the shift: all of it an integer that a double holds.
   const int64_t constant_part =
-      added * multiplier + (int64_t{1} << (shift - 1)) + ((128 + zero_point) << shift);
+      added * multiplier + (int64_t{1} << (shift - 1)) + ((half + zero_point) << shift);
   for (const int64_t sum : {low - added, high - added})
     if (std::abs(sum) >= kExact / std::max<int64_t>(multiplier, 1) ||
         std::abs(sum * multiplier + constant_part) >= kExact ||
@@ -268,7 +295,18 @@ std::optional<LiteralConv::Scale> LiteralConv::scale_in_doubles(int64_t oc, int6
   if (std::abs(constant_part) >= kExact) return std::nullopt;
   const double unit = std::ldexp(1.0, -static_cast<int>(shift));
   return Scale{node.output, static_cast<double>(multiplier) * unit,
-               static_cast<double>(constant_part) * unit};
+               static_cast<double>(constant_part) * unit, half};
+}
+
+int64_t LiteralConv::stored_together(int64_t first, int64_t last) const {
+  const DType dtype = graph_.value(problem_.group.result).type.dtype;
+  for (const int64_t bytes : {16, 4}) {
+    const int64_t width = bytes / dtype_info(dtype).host_bytes;
+    if (dtype != DType::kInt48 && width > 0 && out()[3] % width == 0 && first % width == 0 &&
+        last % width == 0)
+      return width;
+  }
+  return 1;
 }
 
 void LiteralConv::results(std::string& text, int64_t first, int64_t last, const std::string& y,
@@ -277,30 +315,30 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
   const int64_t channels = out()[3];
   // The last tiles of a row or column may reach beyond the result.
   text += fmt::format("  if ({} < {} && {} < {}) {{\n", x, out()[2], y, out()[1]);
-  // Int8 results are stored as wide as they lie together: stores cost by their number.
-  const bool is_int8 = graph_.value(result).type.dtype == DType::kInt8;
-  int64_t width = 1;
-  for (const int64_t wide : {16, 4})
-    if (width == 1 && is_int8 && channels % wide == 0 && first % wide == 0 && last % wide == 0)
-      width = wide;
-  std::string packed;
+  // Results are stored as wide as they lie together: stores cost by their number.
+  const int64_t width = stored_together(first, last);
+  const DType dtype = graph_.value(result).type.dtype,
+              sum_dtype = graph_.value(node_.output).type.dtype;
+  std::vector<std::string> words, parts;
   for (int64_t oc = first; oc < last; ++oc) {
     const std::string own = fmt::format("{}_{}", suffix, oc);
     const Position at{{"n", y, x, std::to_string(oc)}, {}};
     const std::string sum = sums.expression(oc);
+    std::optional<Scale> scale;
     const int64_t added = offset(oc) + (sums.less.empty() ? 0 : sums.less[static_cast<size_t>(oc)]);
-    const std::optional<Scale> scale =
-        sums.floating && profile_.caps.features.has(Feature::kFloat64) ? scale_in_doubles(oc, added)
-                                                                       : std::nullopt;
+    if (sums.floating && profile_.caps.features.has(Feature::kFloat64))
+      scale = scale_in_doubles(oc, added);
     if (scale) {
       // Above 0 truncation is the floor that the shift means, and below 0 all becomes 0.
       text += fmt::format(
-          "  double h{0} = double({1}) * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, 255);\n", own,
-          sum, double_literal(scale->factor), double_literal(scale->constant));
-      codegen_.locals()[scale->output] = fmt::format("(u{} - 128)", own);
+          "  double h{0} = double({1}) * {2} + {3};\n  int u{0} = clamp(int(h{0}), 0, {4});\n", own,
+          sum, double_literal(scale->factor), double_literal(scale->constant), 2 * scale->half - 1);
+      codegen_.locals()[scale->output] = fmt::format("(u{} - {})", own, scale->half);
     } else {
-      text += fmt::format("  int h{} = int({}) + {};\n", own, sum,
-                          Codegen::literal(static_cast<int32_t>(static_cast<uint64_t>(added))));
+      const int64_t wrapped =
+          sum_dtype == DType::kInt48 ? added : static_cast<int32_t>(static_cast<uint64_t>(added));
+      text += fmt::format("  {0} h{1} = {0}({2}) + {3};\n", Codegen::register_type(sum_dtype), own,
+                          sum, Codegen::literal(wrapped, sum_dtype));
       codegen_.locals()[node_.output] = "h" + own;
     }
     codegen_.epilogue(text, at, own, scale ? std::optional(scale->output) : std::nullopt);
@@ -309,21 +347,20 @@ void LiteralConv::results(std::string& text, int64_t first, int64_t last, const 
       text += codegen_.store(result, at, value);
       continue;
     }
-    // The maximum with 0, which `none` is, keeps LLVM from packing lane by lane in the loop in which Mesa
-    // stores: 9 to 15 % of a layer.
-    packed += oc % 4 == 0  ? fmt::format("max(uint(({} & 255)", value)
-              : oc % 4 < 3 ? fmt::format(" | (({} & 255) << {})", value, 8 * (oc % 4))
-                           : fmt::format(" | ({} << 24)), none)", value);
-    if ((oc + 1) % width == 0) {
-      const ImageFormat format = width == 16 ? ImageFormat::kRgba32Uint : ImageFormat::kR32Uint;
-      text += fmt::format("  b{}.d[((n * {} + {}) * {} + {}) * {} + {}] = {}({});\n",
-                          codegen_.bind(result, BindingType::kStorageBuffer, format, true),
-                          out()[1], y, out()[2], x, channels / width, oc / width,
-                          width == 16 ? "uvec4" : "uint", packed);
-      packed.clear();
-    } else if (oc % 4 == 3) {
-      packed += ", ";
+    parts.push_back(value);
+    if (static_cast<uint32_t>(parts.size()) * dtype_info(dtype).host_bytes == 4) {
+      words.push_back(Codegen::packed_word(dtype, parts));
+      parts.clear();
     }
+    if ((oc + 1) % width != 0) continue;
+    const bool wide = words.size() == 4;
+    text +=
+        fmt::format("  b{}.d[((n * {} + {}) * {} + {}) * {} + {}] = {}({});\n",
+                    codegen_.bind(result, BindingType::kStorageBuffer,
+                                  wide ? ImageFormat::kRgba32Uint : ImageFormat::kR32Uint, true),
+                    out()[1], y, out()[2], x, channels / width, oc / width, wide ? "uvec4" : "uint",
+                    fmt::join(words, ", "));
+    words.clear();
   }
   text += "  }\n";
 }
@@ -457,15 +494,23 @@ int64_t pixels_per_pass(const LiteralConv& conv, int64_t channels) {
 class TapEmitter {
  public:
   TapEmitter(const GroupProblem& problem, const DeviceProfile& profile, const TapMap& map)
-      : conv_(problem, profile),
-        map_(map),
-        pair_(map.arithmetic == Arithmetic::kDoublePair),
-        type_(pair_                                    ? "double"
-              : map.arithmetic == Arithmetic::kFloat32 ? "float"
-                                                       : "int"),
-        point_(pair_                                    ? ".0lf"
-               : map.arithmetic == Arithmetic::kFloat32 ? ".0"
-                                                        : "") {}
+      : conv_(problem, profile), map_(map), pair_(map.arithmetic == Arithmetic::kDoublePair) {
+    switch (map.arithmetic) {
+      case Arithmetic::kInt32:
+        type_ = "int";
+        point_ = "";
+        break;
+      case Arithmetic::kFloat32:
+        type_ = "float";
+        point_ = ".0";
+        break;
+      case Arithmetic::kDoublePair:
+      case Arithmetic::kDouble:
+        type_ = "double";
+        point_ = ".0lf";
+        break;
+    }
+  }
 
   KernelSource module(int64_t first, int64_t last) {
     std::string body;
@@ -524,7 +569,7 @@ class TapEmitter {
     const std::array<size_t, 2>& texels = map_.taps[tap];
     return fmt::format(
                "  v = {}({});\n", type_,
-               pair_ ? conv_.byte_pair(texels, c, kPairSpacing) : conv_.byte(texels[0], c)) +
+               pair_ ? conv_.byte_pair(texels, c, kPairSpacing) : conv_.number(texels[0], c)) +
            sums;
   }
 
@@ -570,9 +615,11 @@ WorkTable tap_work(const GroupProblem& problem, const DeviceProfile& profile, co
     work[Work::kDispatch] += 1;
   }
   work[Work::kCode] = static_cast<double>(map.products(conv));
-  const Work product = map.arithmetic == Arithmetic::kDoublePair ? Work::kPairProduct
-                       : map.arithmetic == Arithmetic::kFloat32  ? Work::kFloatProduct
-                                                                 : Work::kIntProduct;
+  const bool in_doubles =
+      map.arithmetic == Arithmetic::kDoublePair || map.arithmetic == Arithmetic::kDouble;
+  const Work product = in_doubles                             ? Work::kPairProduct
+                       : map.arithmetic == Arithmetic::kInt32 ? Work::kIntProduct
+                                                              : Work::kFloatProduct;
   work[product] = work[Work::kCode] * tiles;
   work[Work::kUnpack] = tiles * unpacked * static_cast<double>(map.taps.size());
   work[Work::kResult] = tiles * static_cast<double>(map.tile_height * map.tile_width * channels);

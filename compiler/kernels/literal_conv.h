@@ -2,7 +2,7 @@
 //
 // Stored int8 codes are multiplied as unsigned bytes, u = q + 128: a byte of a fetched word becomes
 // a number by one mask or shift, and with the usual zero point of -128 it is x - zp itself. What
-// the offset adds, (128 + zp) * sum(w), comes off the bias.
+// the offset adds, (128 + zp) * sum(w), comes off the bias. INT16 is multiplied as it is.
 #pragma once
 
 #include <functional>
@@ -14,6 +14,8 @@ namespace shale {
 
 /// Float32 holds integers below this exactly.
 inline constexpr int64_t kFloatExact = int64_t{1} << 24;
+/// Doubles the same.
+inline constexpr int64_t kDoubleExact = int64_t{1} << 53;
 /// Most invocations of a workgroup, along x.
 inline constexpr int64_t kLiteralLocalX = 64;
 
@@ -29,13 +31,20 @@ struct Tiling {
   std::optional<size_t> below(size_t index) const;
 };
 
-/// A conv2d or depthwise_conv2d of int8 with constant weights and bias and what is fused around it; writes fetches and
+/// What a convolution multiplies.
+enum class Numbers {
+  kBytes,  ///< INT8 by INT8 or INT4
+  kWords,  ///< INT16 by INT8, with accumulators of INT48
+};
+
+/// A conv2d or depthwise_conv2d with constant weights and bias and what is fused around it; writes fetches and
 /// results, while the families write the sums in between.
 class LiteralConv {
  public:
-  /// True for a group that this class can express on the profile: fetches can follow its views, and
+  /// True for a group of such numbers that this class can express on the profile: fetches can follow its views, and
   /// its tensors fit texel buffers.
-  static bool supports(const GroupProblem& problem, const DeviceProfile& profile);
+  static bool supports(const GroupProblem& problem, const DeviceProfile& profile,
+                       Numbers numbers = Numbers::kBytes);
 
   LiteralConv(const GroupProblem& problem, const DeviceProfile& profile);
 
@@ -52,20 +61,24 @@ class LiteralConv {
   /// NHWC of the convolution's result.
   const Shape& out() const { return graph_.value(node_.output).type.shape; }
   int64_t input_zero_point() const { return graph_.value(node_.inputs[3]).constant->get(0); }
+  DType input_dtype() const { return graph_.value(node_.inputs[0]).type.dtype; }
   std::span<const int64_t> ints(Attr attr) const { return node_.attrs.list(attr); }
   /// The node of the group that makes `id`, or null.
   const Node* folded(ValueId id) const;
 
-  /// Channels of a fetch: 16 (uvec4), 4 or 1 (uint), the most that every fetched tensor allows.
+  /// Channels of a fetch: those of 16 bytes (uvec4), of 4 or a single one (uint), the most that every
+  /// fetched tensor allows.
   int64_t lanes() const { return lanes_; }
-  const char* texel_type() const { return lanes_ == 16 ? "uvec4" : "uint"; }
-  /// Expression of `lanes()` channels from `c` on of value `id` at row y, column x of image n, as
-  /// bytes u; outside the value each is u of the code `outside`.
+  const char* texel_type() const { return is_wide() ? "uvec4" : "uint"; }
+  /// Expression of `lanes()` channels from `c` on of value `id` at row y, column x of image n, int8 as
+  /// bytes u; outside the value each is that of the code `outside`.
   std::string fetch(ValueId id, int64_t c, const std::string& y, const std::string& x,
                     int64_t outside);
   /// Expression (uint) of channel `c` of texel `index` of a Tiling, shifted left by `shift` (0 or 8 to
   /// 24).
   std::string byte(size_t index, int64_t c, int shift = 0) const;
+  /// Expression (of an integer) of channel `c` of texel `index` of a Tiling, of int8 u.
+  std::string number(size_t index, int64_t c) const;
   /// The sum of channel `c` of two texels, the second one shifted left by `shift`.
   std::string byte_pair(const std::array<size_t, 2>& texels, int64_t c, int shift) const {
     return fmt::format("({} | {})", byte(texels[0], c), byte(texels[1], c, shift));
@@ -115,17 +128,22 @@ class LiteralConv {
   int64_t live_sums() const { return profile_.live_sums; }
 
  private:
-  /// A RESCALE of sums as u = floor(sum * factor + constant), exact in doubles, where u = q + 128 is to
-  /// be limited to bytes.
+  /// A RESCALE of sums as u = floor(sum * factor + constant), exact in doubles, where u = q + half is to
+  /// be limited to [0, 2 half).
   struct Scale {
     ValueId output;
     double factor, constant;
+    int64_t half;  ///< 128 or 32768
   };
   /// For sums that lack `added`. Nothing if the group has no such node, or one with products that a
   /// double may not hold.
   std::optional<Scale> scale_in_doubles(int64_t oc, int64_t added) const;
   /// Added to the sum of w * u to make the accumulator.
   int64_t offset(int64_t oc) const;
+  /// A fetch takes 16 bytes.
+  bool is_wide() const { return lanes_ > 1 && lanes_ * element_bytes_ == 16; }
+  /// Channels of the result that are stored together: whole words, wide ones where `first` and `last` allow.
+  int64_t stored_together(int64_t first, int64_t last) const;
   std::vector<int64_t> leaf_channels(ValueId id) const;
   std::string inside(ValueId id, int64_t c);
 
@@ -137,7 +155,7 @@ class LiteralConv {
   Shape taps_;
   std::vector<std::optional<NodeId>> producers_;
   Codegen codegen_;
-  int64_t lanes_ = 1;
+  int64_t element_bytes_, lanes_ = 1;
   std::set<std::string> functions_;
 };
 
@@ -149,6 +167,7 @@ enum class Arithmetic {
   kInt32,       ///< any sums: TOSA's legal results wrap back into range
   kFloat32,     ///< partial sums below 2^24 in magnitude
   kDoublePair,  ///< two tiles next to each other at once, as a + 2^kPairSpacing b in doubles
+  kDouble,      ///< partial sums below 2^53 in magnitude
 };
 inline constexpr int kPairSpacing = 24;
 /// Sums of each tile have to stay below this in magnitude.
@@ -169,7 +188,6 @@ struct TapMap : Tiling {
   int64_t sides() const { return arithmetic == Arithmetic::kDoublePair ? 2 : 1; }
   /// Pixels of a tile of the map.
   int64_t pixels() const { return tile_height * tile_width / sides(); }
-  /// Products with weights that are not 0.
   int64_t products(const LiteralConv& conv) const;
 };
 

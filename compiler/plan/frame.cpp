@@ -238,7 +238,8 @@ Result<FrameImage> parse_image(const Fields& fields) {
                      role);
   SHALE_TRY(const std::string format, fields.text("format"));
   const std::optional<ImageFormat> known = image_format_from_name(format);
-  if (!known || *known == ImageFormat::kRgba8Sint || *known == ImageFormat::kR8Sint)
+  if (!known || *known == ImageFormat::kRgba8Sint || *known == ImageFormat::kR8Sint ||
+      *known == ImageFormat::kR16Uint)
     return bad_input(fields.where(), "format \"{}\" is no image format", format);
   image.format = *known;
   SHALE_TRY(image.size, parse_size(fields));

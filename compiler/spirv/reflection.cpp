@@ -204,6 +204,7 @@ NumericClass class_of(ImageFormat format) {
   switch (format) {
     case ImageFormat::kRgba8Sint:
     case ImageFormat::kR8Sint: return NumericClass::kInt;
+    case ImageFormat::kR16Uint:
     case ImageFormat::kR32Uint:
     case ImageFormat::kRg32Uint:
     case ImageFormat::kRgba32Uint: return NumericClass::kUint;

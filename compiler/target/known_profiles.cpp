@@ -26,6 +26,9 @@ constexpr std::array<WorkInfo, kWorkCount> kWorks{{
     {"result", "an element requantized and stored"},
     {"generic_mac", "a product of the generic kernel"},
     {"generic_result", "an element of the generic kernel"},
+    {"run_mac", "a product of the kernel of runs"},
+    {"run_result", "an element of the kernel of runs"},
+    {"real_mac", "a float product of weights that a loop loads"},
     {"dot_mac", "a product by int8 dot products"},
     {"matrix_mac", "a product by int8 cooperative matrices"},
     {"loop_mac", "a float32 product of weights that a loop loads"},
@@ -119,6 +122,9 @@ DeviceProfile avx512_profile() {
                         {Work::kResult, 0.353},
                         {Work::kGenericMac, 2.35},
                         {Work::kGenericResult, 3.46},
+                        {Work::kRunMac, 0.13},
+                        {Work::kRealMac, 0.08},
+                        {Work::kRunResult, 0.78},
                         {Work::kLoopMac, 0.08},
                         {Work::kByte, 0.167}});
   profile.roof_gops = 121.8;
@@ -146,6 +152,9 @@ DeviceProfile avx2_profile() {
                         {Work::kResult, 0.472},
                         {Work::kGenericMac, 4.7},
                         {Work::kGenericResult, 7.18},
+                        {Work::kRunMac, 0.24},
+                        {Work::kRealMac, 0.155},
+                        {Work::kRunResult, 1.45},
                         {Work::kLoopMac, 0.16},
                         {Work::kByte, 0.167}});
   profile.roof_gops = 65.3;

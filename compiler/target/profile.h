@@ -23,12 +23,15 @@ enum class Work : uint8_t {
   kResult,         ///< an element requantized and stored
   kGenericMac,     ///< by the generic kernel, 1 per product
   kGenericResult,  ///< an element by the generic kernel
+  kRunMac,         ///< by runs
+  kRunResult,      ///< an element by runs
+  kRealMac,        ///< a product of reals whose weights a loop loads
   kDotMac,         ///< by int8 dot products
   kMatrixMac,      ///< by int8 cooperative matrices
   kLoopMac,        ///< a float32 product of weights that a loop loads
   kByte,           ///< read or written, at the memory's rate while the rest goes on
 };
-inline constexpr size_t kWorkCount = 15;
+inline constexpr size_t kWorkCount = 18;
 
 struct WorkInfo {
   std::string_view name;  ///< in JSON

@@ -93,7 +93,8 @@ Result<void> check_image(const std::string& where, const Resource& image) {
   if (static_cast<uint32_t>(image.format) >= kImageFormatCount)
     return bad_input(where, "image format {} does not exist", static_cast<uint32_t>(image.format));
   if (image.format == ImageFormat::kNone || image.format == ImageFormat::kRgba8Sint ||
-      image.format == ImageFormat::kR8Sint || image.format == ImageFormat::kRg32Uint)
+      image.format == ImageFormat::kR8Sint || image.format == ImageFormat::kRg32Uint ||
+      image.format == ImageFormat::kR16Uint)
     return bad_input(where, "an image cannot have the format {}",
                      image_format_info(image.format).name);
   if (image.width < 1 || image.height < 1 || image.width > kMaxImageExtent ||
@@ -131,8 +132,8 @@ Result<void> check_buffer_binding(const std::string& where, const Binding& bindi
     return {};
   }
   if (binding.writes) return bad_input(where, "a uniform texel buffer is written");
-  const auto views = {ImageFormat::kRgba8Sint, ImageFormat::kR8Sint, ImageFormat::kR32Uint,
-                      ImageFormat::kRg32Uint, ImageFormat::kRgba32Uint};
+  const auto views = {ImageFormat::kRgba8Sint, ImageFormat::kR8Sint,     ImageFormat::kR32Uint,
+                      ImageFormat::kRg32Uint,  ImageFormat::kRgba32Uint, ImageFormat::kR16Uint};
   if (std::find(views.begin(), views.end(), binding.view_format) == views.end())
     return bad_input(where, "a texel buffer cannot have the view format {}",
                      image_format_info(binding.view_format).name);
@@ -150,10 +151,14 @@ Result<void> check_tensor_binding(const std::string& where, const Binding& bindi
     return bad_input(where, "weights \"{}\" are written", tensor.name);
   if (binding.writes && tensor.category == Category::kInput && segment == SegmentKind::kGraph)
     return bad_input(where, "the graph segment writes its input \"{}\"", tensor.name);
-  if (binding.type == BindingType::kUniformTexelBuffer && tensor.dtype != DType::kInt8 &&
-      tensor.dtype != DType::kBool)
-    return bad_input(where, "a texel buffer views a tensor of type {}, expected INT8 or BOOL",
-                     dtype_info(tensor.dtype).wire);
+  if (binding.type != BindingType::kUniformTexelBuffer) return {};
+  const uint32_t bytes = dtype_info(tensor.dtype).host_bytes;
+  const bool of_bytes = binding.view_format == ImageFormat::kR8Sint ||
+                        binding.view_format == ImageFormat::kRgba8Sint,
+             of_pairs = binding.view_format == ImageFormat::kR16Uint;
+  if (of_bytes ? bytes != 1 : of_pairs ? bytes != 2 : bytes > 4)
+    return bad_input(where, "a texel buffer of {} views a tensor of type {}",
+                     image_format_info(binding.view_format).name, dtype_info(tensor.dtype).wire);
   return {};
 }
 

@@ -43,6 +43,7 @@ constexpr std::array<ImageFormatInfo, kImageFormatCount> kImageFormats{{
     {ImageFormat::kRgba8Snorm, "rgba8_snorm", "rgba8_snorm", 4, 4, true, false},
     {ImageFormat::kRgba32Uint, "rgba32_uint", "rgba32ui", 16, 4, false, false},
     {ImageFormat::kRg32Uint, "rg32_uint", "rg32ui", 8, 2, false, true},
+    {ImageFormat::kR16Uint, "r16_uint", "r16ui", 2, 1, false, true},
 }};
 
 // ---- Writing: plain data to tables, children first, always in the same order.

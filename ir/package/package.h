@@ -68,8 +68,9 @@ enum class ImageFormat : uint8_t {
   kRgba8Snorm = 12,
   kRgba32Uint = 13,  ///< texel buffers of int8 tensors, 16 channels a texel; of linear images
   kRg32Uint = 14,    ///< texel buffers of linear images
+  kR16Uint = 15,     ///< texel buffers of tensors of 16 bits, one channel a texel
 };
-inline constexpr uint32_t kImageFormatCount = 15;
+inline constexpr uint32_t kImageFormatCount = 16;
 
 /// Names as in frame.json ("rgba8_unorm") and in GLSL layouts ("rgba8"), bytes and channels of a
 /// texel.

@@ -131,6 +131,7 @@ VkFormat vk_format(ImageFormat format) {
       VK_FORMAT_R8G8B8A8_SNORM,
       VK_FORMAT_R32G32B32A32_UINT,
       VK_FORMAT_R32G32_UINT,
+      VK_FORMAT_R16_UINT,
   };
   SHALE_CHECK(format != ImageFormat::kNone);
   return kFormats[static_cast<uint32_t>(format)];

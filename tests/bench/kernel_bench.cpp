@@ -3,6 +3,9 @@
 //
 //   kernel_bench [--benchmark_repetitions=5 ...]
 //
+// After the convolutions other operators, of which the naive kernel is `generic`: 2 for each product, or one for each
+// element of the result.
+//
 // GOP/s counts 2 per multiply-accumulate of the direct form, requantization included, by device
 // timestamps. At the end it prints the ratios. A convolution is int8, 3x3, stride 1, padded,
 // per-channel requantized and clamped.
@@ -14,6 +17,7 @@
 #include <vector>
 
 #include "compiler/driver/compile.h"
+#include "ir/text/text.h"
 #include "tools/shale/roof.h"
 
 namespace shale {
@@ -56,6 +60,104 @@ Shape input_shape(const Case& c) {
   return c.upsampled ? Shape{1, c.height / 2, c.width / 2, c.in}
                      : Shape{1, c.height, c.width, c.in};
 }
+
+/// An operator at a size that networks have, in text; its inputs are zeros.
+struct Operator {
+  const char* name;
+  const char* text;        ///< from the graph's inputs to %y
+  double gop;              ///< of a run
+  const char* kernel;      ///< besides the naive one
+  int64_t weights = 0;     ///< elements of an %w that is drawn, of the shape before it
+  const char* shape = "";  ///< of %w: "f32[32,3,3,32]"
+};
+constexpr double kPicture = 960.0 * 540, kHalf = 480.0 * 270;
+#define SHALE_CONV "{pad=[1,1,1,1], stride=[1,1], dilation=[1,1], acc_type="
+constexpr Operator kOperators[] = {
+    {"conv2d fp32 32->32, 480x270",
+     "input %x : f32[1,270,480,32] const %b : f32[1] = [0] const %z : f32[1] = [0] "
+     "%y = conv2d %x, %w, %b, %z, %z " SHALE_CONV "f32} : f32[1,270,480,32]",
+     2e-9 * 9 * 32 * 32 * kHalf, "conv2d_real", 9 * 32 * 32, "f32[32,3,3,32]"},
+    {"conv2d fp16 32->32, 480x270",
+     "input %x : f16[1,270,480,32] const %b : f16[1] = [0] const %z : f16[1] = [0] "
+     "%y = conv2d %x, %w, %b, %z, %z " SHALE_CONV "f32} : f16[1,270,480,32]",
+     2e-9 * 9 * 32 * 32 * kHalf, "conv2d_real", 9 * 32 * 32, "f16[32,3,3,32]"},
+    {"conv2d int16 32->32, 480x270",
+     "input %x : i16[1,270,480,32] const %b : i48[1] = [0] const %z : i16[1] = [0] "
+     "const %v : i8[1] = [0] const %m : i16[1] = [16384] const %s : i8[1] = [30] "
+     "const %o : i48[1] = [0] %a = conv2d %x, %w, %b, %z, %v " SHALE_CONV
+     "i48} : i48[1,270,480,32] %y = rescale %a, %m, %s, %o, %z {scale32=false, "
+     "rounding_mode=single, per_channel=false, input_unsigned=false, output_unsigned=false} "
+     ": i16[1,270,480,32]",
+     2e-9 * 9 * 32 * 32 * kHalf, "conv2d_s16_f64", 9 * 32 * 32, "i8[32,3,3,32]"},
+    {"conv2d int8, weights not constant, 240x135",
+     "input %x : i8[1,135,240,32] input %w : i8[32,3,3,32] const %b : i32[1] = [0] "
+     "const %z : i8[1] = [0] %y = conv2d %x, %w, %b, %z, %z " SHALE_CONV "i32} : i32[1,135,240,32]",
+     2e-9 * 9 * 32 * 32 * kHalf / 4, "runs"},
+    {"depthwise fp32 32, 480x270",
+     "input %x : f32[1,270,480,32] const %b : f32[1] = [0] const %z : f32[1] = [0] "
+     "%y = depthwise_conv2d %x, %w, %b, %z, %z " SHALE_CONV "f32} : f32[1,270,480,32]",
+     2e-9 * 9 * 32 * kHalf, "runs", 9 * 32, "f32[3,3,32,1]"},
+    {"transpose_conv2d int8 32->32, 2x2, to 480x270",
+     "input %x : i8[1,135,240,32] const %b : i32[1] = [0] const %z : i8[1] = [0] "
+     "%y = transpose_conv2d %x, %w, %b, %z, %z {out_pad=[0,0,0,0], stride=[2,2], acc_type=i32} "
+     ": i32[1,270,480,32]",
+     2e-9 * 32 * 32 * kHalf, "runs", 4 * 32 * 32, "i8[32,2,2,32]"},
+    {"conv3d int8 16->16, 8x60x60",
+     "input %x : i8[1,8,60,60,16] const %b : i32[1] = [0] const %z : i8[1] = [0] "
+     "%y = conv3d %x, %w, %b, %z, %z {pad=[1,1,1,1,1,1], stride=[1,1,1], dilation=[1,1,1], "
+     "acc_type=i32} : i32[1,8,60,60,16]",
+     2e-9 * 27 * 16 * 16 * 8 * 3600, "runs", 27 * 16 * 16, "i8[16,3,3,3,16]"},
+    {"matmul int8 384x384x384",
+     "input %a : i8[1,384,384] input %b : i8[1,384,384] const %z : i8[1] = [0] "
+     "%y = matmul %a, %b, %z, %z : i32[1,384,384]",
+     2e-9 * 384 * 384 * 384, "runs"},
+    {"matmul fp32 384x384x384",
+     "input %a : f32[1,384,384] input %b : f32[1,384,384] const %z : f32[1] = [0] "
+     "%y = matmul %a, %b, %z, %z : f32[1,384,384]",
+     2e-9 * 384 * 384 * 384, "runs"},
+    {"max_pool2d int8 2x2 of 960x540x16",
+     "input %x : i8[1,540,960,16] %y = max_pool2d %x {kernel=[2,2], stride=[2,2], "
+     "pad=[0,0,0,0]} : i8[1,270,480,16]",
+     1e-9 * 16 * kHalf, "runs"},
+    {"avg_pool2d int8 2x2 of 960x540x16",
+     "input %x : i8[1,540,960,16] const %z : i8[1] = [0] %y = avg_pool2d %x, %z, %z "
+     "{kernel=[2,2], stride=[2,2], pad=[0,0,0,0], acc_type=i32} : i8[1,270,480,16]",
+     1e-9 * 16 * kHalf, "runs"},
+    {"resize bilinear int8 x2 to 960x540x16",
+     "input %x : i8[1,270,480,16] const %s : shape[4] = [4,2,4,2] const %o : shape[2] = [-1,-1] "
+     "const %b : shape[2] = [1,1] %y = resize %x, %s, %o, %b {mode=bilinear} : i32[1,540,960,16]",
+     1e-9 * 16 * kPicture, "runs"},
+    {"add and maximum int32 960x540x4",
+     "input %a : i32[1,540,960,4] input %b : i32[1,540,960,4] %s = add %a, %b : i32[1,540,960,4] "
+     "%y = maximum %s, %a : i32[1,540,960,4]",
+     1e-9 * 4 * kPicture, "runs"},
+    {"rescale int8 960x540x16",
+     "input %x : i8[1,540,960,16] const %m : i32[1] = [1073741824] const %s : i8[1] = [31] "
+     "const %z : i8[1] = [0] %y = rescale %x, %m, %s, %z, %z {scale32=true, "
+     "rounding_mode=single, per_channel=false, input_unsigned=false, output_unsigned=false} "
+     ": i8[1,540,960,16]",
+     1e-9 * 16 * kPicture, "runs"},
+    {"concat int8 of 16 and 16, 960x540",
+     "input %a : i8[1,540,960,16] input %b : i8[1,540,960,16] %y = concat %a, %b {axis=3} "
+     ": i8[1,540,960,32]",
+     1e-9 * 32 * kPicture, "runs"},
+    {"transpose int8 NHWC to NCHW, 480x270x32",
+     "input %x : i8[1,270,480,32] %y = transpose %x {perms=[0,3,1,2]} : i8[1,32,270,480]",
+     1e-9 * 32 * kHalf, "runs"},
+    {"reduce_max int8 over 480, 270x480x32",
+     "input %x : i8[1,270,480,32] %y = reduce_max %x {axis=2} : i8[1,270,1,32]", 1e-9 * 32 * kHalf,
+     "runs"},
+    {"reduce_sum int32 over channels, 480x270x32",
+     "input %x : i32[1,270,480,32] %y = reduce_sum %x {axis=3} : i32[1,270,480,1]",
+     1e-9 * 32 * kHalf, "runs"},
+    {"argmax int8 over channels, 480x270x32",
+     "input %x : i8[1,270,480,32] %y = argmax %x {axis=3} : i32[1,270,480]", 1e-9 * 32 * kHalf,
+     "runs"},
+    {"gather int8 of 64, 100,000 rows",
+     "input %x : i8[1,1000,64] input %i : i32[1,100000] %y = gather %x, %i : i8[1,100000,64]",
+     1e-9 * 64 * 100000, "runs"},
+};
+#undef SHALE_CONV
 
 /// Weights, bias and scales are random but typical.
 Graph convolution(const Case& c) {
@@ -168,6 +270,34 @@ void bench_convolution(benchmark::State& state, const Case& c, const std::string
   measure(state, rate_name(c, kernel), compiled->package, {x}, gop, kernel == "generic" ? 1 : 9);
 }
 
+Result<Graph> operator_graph(const Operator& c) {
+  std::string weights;
+  if (c.weights > 0) {
+    std::mt19937_64 generator(1);
+    std::vector<int64_t> values(static_cast<size_t>(c.weights));
+    for (int64_t& value : values) value = static_cast<int64_t>(generator() % 255) - 127;
+    weights = fmt::format("const %w : {} = [{}] ", c.shape, fmt::join(values, ","));
+  }
+  return parse_text(fmt::format("graph main {{ {}{} return %y }}", weights, c.text));
+}
+
+void bench_operator(benchmark::State& state, const Operator& c, const std::string& kernel) {
+  CompileOptions options;
+  options.kernels = {kernel};
+  options.targets = {"device"};
+  options.profiles.emplace("device", profile_from_caps(device().context().caps));
+  const Result<Graph> graph = operator_graph(c);
+  if (!graph) return state.SkipWithError(graph.error().text().c_str());
+  Result<Compiled> compiled = compile_graph(*graph, 0, options);
+  if (!compiled) return state.SkipWithError(compiled.error().text().c_str());
+  if (compiled->package.variants[0].segments[0].dispatches[0].kernel != kernel)
+    return state.SkipWithError("another kernel was chosen");
+  std::vector<Tensor> inputs;
+  for (const ValueId id : graph->inputs) inputs.push_back(Tensor::zeros(graph->value(id).type));
+  measure(state, fmt::format("{}/{}", c.name, kernel), compiled->package, inputs, c.gop,
+          kernel == "generic" ? 1 : 9);
+}
+
 /// One line for each kernel of each case, as Markdown.
 void print_ratios() {
   fmt::print(
@@ -183,6 +313,15 @@ void print_ratios() {
                    c.height, kernel, rate, naive > 0 ? fmt::format("{:.1f}", rate / naive) : "",
                    roofs()[name], 100 * rate / roofs()[name]);
     }
+  fmt::print(
+      "\n| operator | kernel | ms | G/s | times naive | roof |\n|---|---|---:|---:|---:|---:|\n");
+  for (const Operator& c : kOperators) {
+    const std::string name = fmt::format("{}/{}", c.name, c.kernel);
+    const double rate = median_rate(name), naive = median_rate(fmt::format("{}/generic", c.name));
+    if (rate > 0 && naive > 0)
+      fmt::print("| {} | {} | {:.2f} | {:.2f} | {:.1f} | {:.1f} |\n", c.name, c.kernel,
+                 1e3 * c.gop / rate, rate, rate / naive, roofs()[name]);
+  }
 }
 
 }  // namespace
@@ -202,6 +341,14 @@ int main(int argc, char** argv) {
             ->UseManualTime()
             ->Unit(benchmark::kMillisecond)
             ->Iterations(1);
+  for (const shale::Operator& c : shale::kOperators)
+    for (const std::string kernel : {"generic", c.kernel})
+      benchmark::RegisterBenchmark(
+          fmt::format("{}/{}", c.name, kernel).c_str(),
+          [&c, kernel](benchmark::State& state) { shale::bench_operator(state, c, kernel); })
+          ->UseManualTime()
+          ->Unit(benchmark::kMillisecond)
+          ->Iterations(1);
   benchmark::RunSpecifiedBenchmarks();
   shale::print_ratios();
   return 0;

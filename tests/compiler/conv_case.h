@@ -24,7 +24,7 @@ enum class Epilogue {
   kQuartersDoubleRound,
 };
 
-/// One conv2d, or with `multiplier` depthwise_conv2d, over int8 in NHWC; extents are those of the convolution's input.
+/// One conv2d, or with `multiplier` depthwise_conv2d, in NHWC; extents are those of the convolution's input.
 struct ConvCase {
   std::string name;
   int64_t n = 1, h = 5, w = 7, ic = 4, oc = 8;
@@ -40,6 +40,18 @@ struct ConvCase {
   int64_t largest_bias = 20000;
   int64_t weight_min = -128, weight_max = 127;
   int64_t zero_weights = 0;  ///< about how many of a hundred weights are 0
+  /// INT8; INT16, with weights of INT8 and accumulators of INT48; FP32 or FP16, whose `epilogue` is a clamp
+  /// or none, and whose weights, bias and values to pad with are the integers divided by 64.
+  DType dtype = DType::kInt8;
+
+  bool is_real() const { return is_float(dtype); }
+  DType accumulator() const {
+    return is_real() ? dtype : dtype == DType::kInt16 ? DType::kInt48 : DType::kInt32;
+  }
+  /// The code of a number of this case.
+  int64_t code(DType of, int64_t number) const {
+    return is_float(of) ? real_bits(of, static_cast<float>(number) / 64) : number;
+  }
 
   friend void PrintTo(const ConvCase& c, std::ostream* out) { *out << c.name; }
 
@@ -49,48 +61,54 @@ struct ConvCase {
     const auto draw = [&](int64_t min, int64_t max) {
       return min + static_cast<int64_t>(random() % static_cast<uint64_t>(max - min + 1));
     };
-    const auto tensor = [&](DType dtype, Shape shape, int64_t min, int64_t max) {
-      Tensor t = Tensor::zeros({dtype, std::move(shape)});
-      for (int64_t i = 0; i < t.count(); ++i) t.set(i, draw(min, max));
+    const auto tensor = [&](DType of, Shape shape, int64_t min, int64_t max) {
+      Tensor t = Tensor::zeros({of, std::move(shape)});
+      for (int64_t i = 0; i < t.count(); ++i) t.set(i, code(of, draw(min, max)));
       return t;
     };
-    const auto scalar = [&](const char* label, DType dtype, int64_t value) {
-      return g.add_constant(label, Tensor::from_ints({dtype, {1}}, std::vector<int64_t>{value}));
+    const auto scalar = [&](const char* label, DType of, int64_t value) {
+      return g.add_constant(label, Tensor::from_ints({of, {1}}, std::vector<int64_t>{value}));
     };
     const ValueId x = conv_input(g);
     const bool is_depthwise = multiplier > 0;
+    const DType weight_dtype = is_real() ? dtype : DType::kInt8;
     Tensor weights =
-        tensor(DType::kInt8, is_depthwise ? Shape{kh, kw, ic, multiplier} : Shape{oc, kh, kw, ic},
+        tensor(weight_dtype, is_depthwise ? Shape{kh, kw, ic, multiplier} : Shape{oc, kh, kw, ic},
                weight_min, weight_max);
     for (int64_t i = 0; i < weights.count(); ++i)
       if (draw(0, 99) < zero_weights) weights.set(i, 0);
     const ValueId weight = g.add_constant("w", std::move(weights));
     const ValueId bias = g.add_constant(
-        "b", tensor(DType::kInt32, {one_bias ? 1 : oc}, -largest_bias, largest_bias));
-    const ValueId zp = scalar("zp", DType::kInt8, input_zp),
-                  wzp = scalar("wzp", DType::kInt8, weight_zp);
+        "b", tensor(accumulator(), {one_bias ? 1 : oc}, -largest_bias, largest_bias));
+    const ValueId zp = scalar("zp", dtype, input_zp), wzp = scalar("wzp", weight_dtype, weight_zp);
     Attrs attrs;
     attrs.set(Attr::kPad, pad).set(Attr::kStride, std::vector<int64_t>{stride_y, stride_x});
     attrs.set(Attr::kDilation, std::vector<int64_t>{dilation_y, dilation_x});
-    attrs.set(Attr::kLocalBound, 0).set(Attr::kAccType, static_cast<int64_t>(DType::kInt32));
+    attrs.set(Attr::kLocalBound, 0)
+        .set(Attr::kAccType, static_cast<int64_t>(is_real() ? DType::kFp32 : accumulator()));
     const int64_t oh = (h - 1 + pad[0] + pad[1] - (kh - 1) * dilation_y) / stride_y + 1;
     const int64_t ow = (w - 1 + pad[2] + pad[3] - (kw - 1) * dilation_x) / stride_x + 1;
     const Shape out{n, oh, ow, oc};
     ValueId last = g.add_node(is_depthwise ? Op::kDepthwiseConv2d : Op::kConv2d, attrs,
-                              {x, weight, bias, zp, wzp}, "acc", {DType::kInt32, out});
+                              {x, weight, bias, zp, wzp}, "acc", {accumulator(), out});
 
     const auto rescale = [&](ValueId from, DType to, bool per_channel, int64_t low_shift,
                              int64_t high_shift, int64_t out_zp, int64_t least_multiplier = 1 << 30,
                              int64_t most_multiplier = INT32_MAX, int64_t rounding = kSingleRound) {
       const int64_t channels = per_channel ? oc : 1;
-      const ValueId m =
-          g.add_constant("m", tensor(DType::kInt32, {channels}, least_multiplier, most_multiplier));
-      const ValueId s =
-          g.add_constant("s", tensor(DType::kInt8, {channels}, low_shift, high_shift));
       const DType in = g.value(from).type.dtype;
+      // INT48 takes multipliers of 16 bits, for the same product.
+      const bool is_short = in == DType::kInt48;
+      const ValueId m = g.add_constant(
+          "m", is_short ? tensor(DType::kInt16, {channels}, least_multiplier >> 16,
+                                 most_multiplier >> 16)
+                        : tensor(DType::kInt32, {channels}, least_multiplier, most_multiplier));
+      const int64_t shorter = is_short ? 16 : 0;
+      const ValueId s = g.add_constant(
+          "s", tensor(DType::kInt8, {channels}, low_shift - shorter, high_shift - shorter));
       const ValueId in_zero = scalar("z", in, 0), out_zero = scalar("oz", to, out_zp);
       Attrs a;
-      a.set(Attr::kScale32, 1)
+      a.set(Attr::kScale32, is_short ? 0 : 1)
           .set(Attr::kRoundingMode, rounding)
           .set(Attr::kPerChannel, per_channel);
       a.set(Attr::kInputUnsigned, 0).set(Attr::kOutputUnsigned, 0);
@@ -101,6 +119,11 @@ struct ConvCase {
       a.set(Attr::kMinVal, low).set(Attr::kMaxVal, high).set(Attr::kNanMode, 1);
       return g.add_node(Op::kClamp, a, {from}, "clamped", g.value(from).type);
     };
+    if (is_real()) {
+      if (epilogue != Epilogue::kNone) last = clamp(last, code(dtype, -120), code(dtype, 100000));
+      g.outputs = {last};
+      return g;
+    }
     switch (epilogue) {
       case Epilogue::kNone: break;
       case Epilogue::kRescale: last = rescale(last, DType::kInt8, false, 38, 42, -7); break;
@@ -141,8 +164,8 @@ struct ConvCase {
       shape[2] += 1;
       const ValueId padding = g.add_shape("padding", {0, 0, 1, 2, 1, 0, 0, 0});
       const ValueId value = g.add_constant(
-          "pad_value", Tensor::from_ints({DType::kInt8, {1}}, std::vector<int64_t>{-77}));
-      return g.add_node(Op::kPad, {}, {from, padding, value}, "padded", {DType::kInt8, shape});
+          "pad_value", Tensor::from_ints({dtype, {1}}, std::vector<int64_t>{code(dtype, -77)}));
+      return g.add_node(Op::kPad, {}, {from, padding, value}, "padded", {dtype, shape});
     };
     // By 2 and 3; centred texels are repeated in blocks.
     const auto resize_node = [&](ValueId from, bool is_centred = false) {
@@ -155,17 +178,16 @@ struct ConvCase {
                                                               : std::vector<int64_t>{0, 0});
       const ValueId border = g.add_shape("border", {1, 2});
       return g.add_node(Op::kResize, Attrs().set(Attr::kMode, kNearest),
-                        {from, scale, offset, border}, "resized", {DType::kInt8, shape});
+                        {from, scale, offset, border}, "resized", {dtype, shape});
     };
     const auto concat_node = [&](const std::vector<ValueId>& parts) {
       Shape shape = g.value(parts[0]).type.shape;
       shape[3] = 0;
       for (const ValueId part : parts) shape[3] += g.value(part).type.shape[3];
-      return g.add_node(Op::kConcat, Attrs().set(Attr::kAxis, 3), parts, "joined",
-                        {DType::kInt8, shape});
+      return g.add_node(Op::kConcat, Attrs().set(Attr::kAxis, 3), parts, "joined", {dtype, shape});
     };
     const auto input = [&](const char* label, int64_t height, int64_t width, int64_t channels) {
-      return g.add_input(label, {DType::kInt8, {n, height, width, channels}});
+      return g.add_input(label, {dtype, {n, height, width, channels}});
     };
     switch (source) {
       case Source::kPlain: return input("x", h, w, ic);
@@ -448,6 +470,21 @@ inline std::vector<ConvCase> edge_depthwise_cases() {
                    .oc = 24,
                    .multiplier = 1,
                    .source = Source::kUpsample});
+  return cases;
+}
+
+/// All of them in a type. Others than INT8 have no zero points, and of the epilogues those to the type itself.
+inline std::vector<ConvCase> edge_cases_of(DType dtype) {
+  std::vector<ConvCase> cases = edge_conv_cases();
+  for (const ConvCase& row : edge_depthwise_cases()) cases.push_back(row);
+  if (dtype == DType::kInt8) return cases;
+  std::erase_if(cases, [](const ConvCase& row) { return row.name.starts_with("zp"); });
+  for (ConvCase& row : cases) {
+    row.dtype = dtype;
+    row.name += "_" + std::string(dtype_info(dtype).name);
+    row.input_zp = row.weight_zp = 0;
+    if (row.epilogue != Epilogue::kNone) row.epilogue = Epilogue::kInt16;
+  }
   return cases;
 }
 

@@ -149,7 +149,8 @@ TEST(Driver, MakesAVariantForEachTarget) {
   CompileOptions options = fast_options();
   options.targets = {"generic-gpu", "lavapipe"};
   options.expected_runs = 1e9;  // weights in the code are worth any compile time
-  const Compiled both = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, options));
+  const Graph graph = ConvCase{.name = "plain", .h = 64, .w = 64}.graph();
+  const Compiled both = must(compile_graph(graph, 0, options));
   ASSERT_EQ(both.package.variants.size(), 2u);
   EXPECT_EQ(both.package.variants[0].target, "generic-gpu");
   EXPECT_EQ(both.package.variants[1].target, "lavapipe");
@@ -157,7 +158,7 @@ TEST(Driver, MakesAVariantForEachTarget) {
   // Which of them is select_test's business.
   EXPECT_TRUE(graph_dispatches(both, 1)[0].kernel.starts_with("conv2d_s8_"));
   options.targets = {"generic-gpu"};
-  const Compiled one = must(compile_graph(ConvCase{.name = "plain"}.graph(), 0, options));
+  const Compiled one = must(compile_graph(graph, 0, options));
   EXPECT_TRUE(one.package.variants[0] == both.package.variants[0]);
   // The second variant adds no weights: its own are in the code or lie there already.
   EXPECT_EQ(one.package.weights, both.package.weights);

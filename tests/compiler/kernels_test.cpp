@@ -2,6 +2,9 @@
 // interpreter.
 #include <gtest/gtest.h>
 
+#include <cmath>
+#include <limits>
+
 #include "compiler/driver/compile.h"
 #include "tests/compiler/conv_case.h"
 #include "tests/compiler/graph_support.h"
@@ -58,8 +61,12 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
     std::optional<NetworkRun> network;
     for (uint64_t seed = 1; seed <= 4; ++seed) {
       std::vector<Tensor> inputs = random_inputs(graph, seed);
-      // Then at the limits, all at one or each at one of them: the largest magnitudes.
       for (Tensor& input : inputs) {
+        if (is_float(input.type.dtype)) {
+          make_real(input, seed);
+          continue;
+        }
+        // Then at the limits, all at one or each at one of them: the largest magnitudes.
         const IntRange range = dtype_range(input.type.dtype);
         for (int64_t i = 0; seed > 1 && i < input.count(); ++i)
           input.set(i, seed == 2 || (seed == 4 && input.get(i) < 0) ? range.min : range.max);
@@ -72,12 +79,33 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
       EXPECT_TRUE(network->run());
       const std::vector<Tensor> found = network->outputs();
       for (size_t i = 0; i < expected.size(); ++i)
-        if (const auto difference = first_difference(found[i], expected[i]))
+        if (const auto difference = first_difference(one_nan(found[i]), one_nan(expected[i])))
           ADD_FAILURE() << kernel << (optimize ? "" : " without passes") << ", inputs " << seed
                         << ", output " << i << ": " << *difference << "\n"
                         << print_text(compiled.graph);
     }
     return taken;
+  }
+
+  /// Numbers of several magnitudes, none so small that a product becomes subnormal, which drivers may
+  /// flush; then some so large that sums are infinite; then infinities among them, and NaN.
+  static void make_real(Tensor& tensor, uint64_t seed) {
+    std::mt19937_64 random(seed);
+    for (int64_t i = 0; i < tensor.count(); ++i) {
+      const int exponent = static_cast<int>(random() % 12) - 6 + (seed == 2 ? 12 : 0);
+      const float mantissa = 1 + static_cast<float>(random() % 2048) / 2048;
+      float value = std::ldexp(random() % 2 ? mantissa : -mantissa, exponent);
+      if (seed > 2 && random() % 40 == 0) value = std::numeric_limits<float>::infinity();
+      if (seed > 3 && random() % 40 == 0) value = std::numeric_limits<float>::quiet_NaN();
+      tensor.set_real(i, value);
+    }
+  }
+
+  /// With the same bits for every NaN, since TOSA asks for none of them.
+  static Tensor one_nan(Tensor tensor) {
+    for (int64_t i = 0; is_float(tensor.type.dtype) && i < tensor.count(); ++i)
+      if (std::isnan(tensor.real(i))) tensor.set_real(i, std::numeric_limits<float>::quiet_NaN());
+    return tensor;
   }
 
   inline static std::unique_ptr<ToolDevice> device_;
@@ -87,7 +115,10 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
 bool takes(const std::string& kernel, const ConvCase& row) {
   const bool is_plain =
       row.stride_y == 1 && row.stride_x == 1 && row.dilation_y == 1 && row.dilation_x == 1;
-  if (kernel == "generic" || kernel == "conv2d_s8_i32") return true;
+  if (kernel == "conv2d_real") return row.multiplier == 0;
+  if (kernel == "generic" || kernel == "runs" || kernel == "conv2d_s16_f64" ||
+      kernel == "conv2d_s8_i32")
+    return true;
   if (row.multiplier > 0 && (kernel == "conv2d_s8_dot8" || kernel == "conv2d_s8_loop" ||
                              kernel.starts_with("conv2d_s8_winograd")))
     return false;
@@ -124,26 +155,29 @@ TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
   if (row.input_zp != 0 || row.weight_zp != 0) expect_exact(graph, kernel, false);
 }
 
-std::vector<std::string> kernel_names() {
-  std::vector<std::string> names;
-  for (const KernelFamily& family : all_kernels())
-    if (family.name != "conv2d_s8_coopmat")  // no CPU driver has its matrices: see coopmat_test
-      names.emplace_back(family.name);
-  return names;
+/// Types that a family multiplies.
+std::vector<DType> types_of(std::string_view kernel) {
+  if (kernel == "conv2d_s16_f64") return {DType::kInt16};
+  if (kernel == "conv2d_real") return {DType::kFp32, DType::kFp16};
+  if (kernel == "runs") return {DType::kInt8, DType::kInt16, DType::kFp32, DType::kFp16};
+  return {DType::kInt8};
 }
 
-std::vector<ConvCase> edge_cases() {
-  std::vector<ConvCase> cases = edge_conv_cases();
-  for (const ConvCase& row : edge_depthwise_cases()) cases.push_back(row);
+std::vector<std::tuple<std::string, ConvCase>> every_case() {
+  std::vector<std::tuple<std::string, ConvCase>> cases;
+  for (const KernelFamily& family : all_kernels())
+    if (family.name != "conv2d_s8_coopmat")  // no CPU driver has its matrices: see coopmat_test
+      for (const DType dtype : types_of(family.name))
+        for (const ConvCase& row : edge_cases_of(dtype)) cases.emplace_back(family.name, row);
   return cases;
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Kernels, EveryKernel,
-    testing::Combine(testing::ValuesIn(kernel_names()), testing::ValuesIn(edge_cases())),
-    [](const testing::TestParamInfo<EveryKernel::ParamType>& test) {
-      return replaced(std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-", "minus");
-    });
+INSTANTIATE_TEST_SUITE_P(Kernels, EveryKernel, testing::ValuesIn(every_case()),
+                         [](const testing::TestParamInfo<EveryKernel::ParamType>& test) {
+                           return replaced(
+                               std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-",
+                               "minus");
+                         });
 
 }  // namespace
 }  // namespace shale

@@ -216,7 +216,7 @@ TEST(Select, TakesLiteralsForDepthwiseConvolutions) {
   EXPECT_EQ(kernel, "conv2d_s8_f64pair");
 }
 
-TEST(Select, LeavesOtherHeadsToTheGenericKernel) {
+TEST(Select, LeavesOtherHeadsToRuns) {
   const char* const rows[] = {
       "const %w : i8[1,1,1,2] = [1,2]\n const %b : i32[1] = [0]\n"
       "%y = transpose_conv2d %x, %w, %b, %zp, %zp {out_pad=[0,0,0,0], stride=[1,1], acc_type=i32} "
@@ -228,11 +228,11 @@ TEST(Select, LeavesOtherHeadsToTheGenericKernel) {
     EXPECT_EQ(selected(graph_of(
                   std::string("graph main {\n input %x : i8[1,4,4,2]\n const %zp : i8[1] = [0]\n") +
                   row + "\n return %y\n}")),
-              "generic")
+              "runs")
         << row;
 }
 
-TEST(Select, LeavesConvolutionsWithoutConstantInt8WeightsToTheGenericKernel) {
+TEST(Select, LeavesConvolutionsWithoutConstantWeightsToRuns) {
   const char* const rows[] = {
       "input %x : i8[1,4,4,2]\n input %w : i8[1,1,1,2]\n const %b : i32[1] = [0]\n const %wzp : "
       "i8[1] = [0]",
@@ -246,11 +246,11 @@ TEST(Select, LeavesConvolutionsWithoutConstantInt8WeightsToTheGenericKernel) {
                                 "\n %y = conv2d %x, %w, %b, %zp, %wzp {pad=[0,0,0,0], "
                                 "stride=[1,1], dilation=[1,1], acc_type=i32}"
                                 " : i32[1,4,4,1]\n return %y\n}")),
-              "generic")
+              "runs")
         << row;
 }
 
-TEST(Select, LeavesOtherPadsToTheGenericKernel) {
+TEST(Select, LeavesOtherPadsToRuns) {
   // A pad of the channels has no place in four-channel fetches.
   EXPECT_EQ(selected(graph_of(R"(graph main {
   input %x : i8[1,4,4,2]
@@ -262,12 +262,13 @@ TEST(Select, LeavesOtherPadsToTheGenericKernel) {
   %y = conv2d %v, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,4,4,1]
   return %y
 })")),
-            "generic");
+            "runs");
 }
 
 /// A 1x1 convolution of [n,h,w,1]; nothing of that size is allocated.
 std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc,
-                             std::string_view target = "lavapipe") {
+                             std::string_view target = "lavapipe",
+                             const std::vector<std::string>& allowed = {}) {
   return selected(
       graph_of(fmt::format(
           R"(graph main {{
@@ -279,18 +280,19 @@ std::string kernel_for_shape(int64_t n, int64_t h, int64_t w, int64_t oc,
   return %y
 }})",
           n, h, w, oc, replaced(std::string(static_cast<size_t>(oc - 1), '1'), "1", "1,"))),
-      target);
+      target, allowed);
 }
 
 TEST(Select, KeepsGridsAndTexelBuffersWithinTheirLimits) {
   EXPECT_EQ(kernel_for_shape(1, 65535, 4, 16), "conv2d_s8_f32exact");
-  EXPECT_EQ(kernel_for_shape(1, 65536, 4, 16), "generic");  // rows are workgroups
-  EXPECT_EQ(kernel_for_shape(65536, 1, 4, 16), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 65536, 4, 16), "runs");  // rows are workgroups
+  EXPECT_EQ(kernel_for_shape(65536, 1, 4, 16), "runs");
   // With 16 channels an invocation has two pixels side by side.
   EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 128, 16), "conv2d_s8_f64pair");
-  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 128 + 1, 16), "generic");
-  EXPECT_EQ(kernel_for_shape(1, 8192, 16384, 1), "conv2d_s8_f64pair");  // 2^27 texels
-  EXPECT_EQ(kernel_for_shape(1, 8192, 16385, 1), "generic");
+  EXPECT_EQ(kernel_for_shape(1, 1, 65535 * 128 + 1, 16), "runs");
+  const std::vector<std::string> pairs{"conv2d_s8_f64pair"};
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16384, 1, "lavapipe", pairs), pairs[0]);  // 2^27 texels
+  EXPECT_EQ(kernel_for_shape(1, 8192, 16385, 1, "lavapipe", pairs), "generic");
 }
 
 TEST(Select, KeepsGridsOfDotProductsWithinTheirLimits) {

@@ -459,8 +459,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"w\": bytes 256 to 256 + 64 leave the weights of 300 bytes"},
     {"InputOffset", [](Package& p) { resource(p, 0).offset_bytes = 256; },
      "variant 0, resource \"x\": a tensor bound by the caller has offset 256"},
-    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(15); },
-     "variant 0, resource \"color\": image format 15 does not exist"},
+    {"ImageFormatNumber", [](Package& p) { resource(p, 4).format = number<ImageFormat>(16); },
+     "variant 0, resource \"color\": image format 16 does not exist"},
     {"ImageFormatOfTexels", [](Package& p) { resource(p, 4).format = ImageFormat::kR8Sint; },
      "variant 0, resource \"color\": an image cannot have the format r8_sint"},
     {"ImageWithoutExtent", [](Package& p) { resource(p, 4).height = 0; },
@@ -642,8 +642,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, dispatch \"conv1\", binding 0: a texel buffer cannot have the view format "
      "rgba8_unorm"},
     {"TexelBufferOfInt32", [](Package& p) { dispatch(p, 1, 0).bindings[0].resource = 2; },
-     "variant 0, dispatch \"conv1\", binding 0: a texel buffer views a tensor of type INT32, "
-     "expected INT8 or BOOL"},
+     "variant 0, dispatch \"conv1\", binding 0: a texel buffer of rgba8_sint views a tensor of type "
+     "INT32"},
     {"BrokenTexels",
      [](Package& p) {
        resource(p, 0).shape = {511};

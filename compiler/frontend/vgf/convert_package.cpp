@@ -29,6 +29,7 @@ uint32_t vk_format(ImageFormat format) {
     case ImageFormat::kRgba8Snorm: return 38;
     case ImageFormat::kRgba32Uint: return 107;
     case ImageFormat::kRg32Uint: return 101;
+    case ImageFormat::kR16Uint: return 74;
   }
   return 0;
 }
