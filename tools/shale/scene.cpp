@@ -105,7 +105,9 @@ Result<int> write_needs(const Arguments& arguments) {
   {
     Progress progress("looking at frames");
     size_t seen = 0;
-    const SourceArguments from{.frames = arguments.frames, .first = arguments.first};
+    SourceArguments from;
+    from.frames = arguments.frames;
+    from.first = arguments.first;
     for (const std::string& path : arguments.scenes) {
       std::unique_ptr<FrameSource> source;
       SceneSource* scene = nullptr;
