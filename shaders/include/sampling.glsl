@@ -24,6 +24,11 @@ Bilinear settled_at(vec2 uv, ivec2 size) {
   const vec2 base = floor(at);
   return Bilinear(ivec2(base), at - base);
 }
+/// settled_at of what rests, bilinear_at of what moves.
+Bilinear bilinear_at(vec2 uv, ivec2 size, bool rests) {
+  if (rests) return settled_at(uv, size);
+  return bilinear_at(uv, size);
+}
 float bilinear_weight(vec2 part, int i) {
   return ((i & 1) == 0 ? 1.0 - part.x : part.x) * ((i & 2) == 0 ? 1.0 - part.y : part.y);
 }

@@ -212,9 +212,9 @@ TEST_F(NeedsTest, BadOnesAreRefusedInOneLine) {
   EXPECT_EQ(refused("compile network.tir --needs ok.json -o x.shale"),
             "network.tir: error: has no sandwich from which needs could leave anything out\n");
   EXPECT_EQ(refused("scene still.json"),
-            "error: expected either -o, a dataset to write, or --needs\n");
+            "shale: error: expected either -o, a dataset to write, or --needs\n");
   EXPECT_EQ(refused("scene still.json -o a --needs b"),
-            "error: expected either -o, a dataset to write, or --needs\n");
+            "shale: error: expected either -o, a dataset to write, or --needs\n");
   EXPECT_EQ(
       refused("scene network.tir --needs b"),
       "network.tir: error: is neither a scene (.json) nor a dataset (a folder with 0000.json)\n");

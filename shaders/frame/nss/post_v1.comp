@@ -159,8 +159,9 @@ void main() {
     [[unroll]] for (int y = 0; y < 2; ++y)
       fetch2_history(ivec2(min(m.x + q, COLOR_WIDTH - 1), 2 * m.y + y), past_words[q][y]);
 #else
-    before[q] = uv - long_motion(xy_of(moving[q]), kOutput, 0.1);
-    place[q] = settled_at(before[q], kOutput);
+    const vec2 moved = long_motion(xy_of(moving[q]), kOutput, 0.1);
+    before[q] = uv - moved;
+    place[q] = bilinear_at(before[q], kOutput, moved == vec2(0.0));
     FETCH_PAST(place[q], past_words[q]);
 #endif
   }
@@ -290,11 +291,11 @@ void pixel_at(ivec2 at) {
 #endif
 #else
   const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
-  const vec2 before = uv - long_motion(xy_of(fetch_dilated(texel)), kOutput, 0.1);
+  const vec2 moved = long_motion(xy_of(fetch_dilated(texel)), kOutput, 0.1), before = uv - moved;
 #if CATMULL_ROM
-  const vec3 past = past_catmull_rom(before);
+  const vec3 past = past_catmull_rom(before, moved == vec2(0.0));
 #else
-  const vec3 past = past_linear(before);
+  const vec3 past = past_linear(before, moved == vec2(0.0));
 #endif
 #endif
   show(at, shown_color(sum, parameters_at(uv), past, before));

@@ -116,7 +116,7 @@ void main() {
 #if STILL
     const vec3 p = ycocg(past_still_catmull_rom(fetch_history(at)));
 #else
-    const vec3 p = ycocg(past_catmull_rom(before));
+    const vec3 p = ycocg(past_catmull_rom(before, motion == vec2(0.0)));
 #endif
     const vec3 side = mix(kDeviationsMoving, kDeviations, still) * mix(1.0, kDeviationsChanged, change) * s.deviation;
     const vec3 inner = clamp(p, max(s.mean - side, s.low), min(s.mean + side, s.high));

@@ -41,12 +41,12 @@ std::string network(uint64_t seed) {
          "  %p = pad %x, %edge, %fill : i8[1,6,7,3]\n"
          "  %a = conv2d %p, %w, %b, %zp, %wzp {pad=[1,1,1,1], stride=[1,1], dilation=[1,1], "
          "acc_type=i32} : i32[1,6,7,4]\n"
-         "  %r = rescale %a, %m, %s, %azp, %ozp {scale32=true, rounding_mode=single_round, "
+         "  %r = rescale %a, %m, %s, %azp, %ozp {scale32=true, rounding_mode=single, "
          "per_channel=true} : i8[1,6,7,4]\n"
          "  %u = resize %r, %scale, %none, %none {mode=nearest} : i8[1,11,13,4]\n"
          "  %d = depthwise_conv2d %u, %dw, %db, %ozp, %wzp {pad=[1,1,1,1], stride=[1,1], "
          "dilation=[1,1], acc_type=i32} : i32[1,11,13,8]\n"
-         "  %e = rescale %d, %m1, %s1, %azp, %ozp {scale32=true, rounding_mode=double_round, "
+         "  %e = rescale %d, %m1, %s1, %azp, %ozp {scale32=true, rounding_mode=double, "
          "per_channel=false} : i8[1,11,13,8]\n"
          "  %k = clamp %e {min_val=-60, max_val=90, nan_mode=propagate} : i8[1,11,13,8]\n"
          "  %l = table %u, %t : i8[1,11,13,4]\n"
@@ -63,7 +63,7 @@ TEST(GraphBounds, HoldWhateverTheInputs) {
                     b = static_cast<int64_t>(random() % 256) - 128;
       input.push_back({std::min(a, b), std::max(a, b)});
     }
-    const std::vector<Channels> bounds = graph_bounds(graph, std::vector{input});
+    const std::vector<Channels> bounds = graph_bounds(graph, std::vector<Channels>{input});
     ASSERT_EQ(bounds.size(), 2u);
     ASSERT_EQ(bounds[0].size(), 12u);
     for (int round = 0; round < 20; ++round) {
@@ -98,14 +98,14 @@ TEST(GraphBounds, AreReachedByOneConvolution) {
   return %y
 })");
   // Without padding the ranges that hold 0 are met at their ends.
-  EXPECT_EQ(graph_bounds(graph, std::vector{Channels{{-4, 6}, {-1, 2}}})[0],
+  EXPECT_EQ(graph_bounds(graph, std::vector<Channels>{Channels{{-4, 6}, {-1, 2}}})[0],
             (Channels{{10 - 12 - 4, 10 + 18 + 2}, {-1 - 30, -1 + 20}}));
 }
 
 TEST(GraphBounds, WhatIsNotFollowedIsItsType) {
   const Graph graph = graph_of(
       "graph main {\n input %x : i8[1,2,2,2]\n %y = bitwise_not %x : i8[1,2,2,2]\n return %y\n}");
-  EXPECT_EQ(graph_bounds(graph, std::vector{Channels{{0, 0}}})[0],
+  EXPECT_EQ(graph_bounds(graph, std::vector<Channels>{Channels{{0, 0}}})[0],
             (Channels{{-128, 127}, {-128, 127}}));
 }
 
