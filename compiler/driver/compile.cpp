@@ -277,9 +277,11 @@ Result<Plan> plan_target(std::span<const PlannedGraph> graphs, const DeviceProfi
   plan.variant.device_class = profile.device_class;
   if (options.frame) {
     SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
+    std::vector<const FramePromise*> kept;
+    if (options.needs) kept = kept_promises(*options.frame, *options.needs, sizes.first);
     SHALE_TRY_VOID(lower_frame(
-        plan, graphs, {*options.frame, sizes.first, sizes.second, options.load_shader, profile},
-        weights));
+        plan, graphs,
+        {*options.frame, sizes.first, sizes.second, options.load_shader, profile, kept}, weights));
   } else {
     plan.variant.programs = {"frame"};
     SHALE_TRY_VOID(plan_interface(plan, graphs[0]));
@@ -334,6 +336,9 @@ Result<Prepared> plan_all(std::vector<LoadedGraph> loaded, const CompileOptions&
     }
     compiled.selections.push_back(std::move(selection));
     SHALE_TRY(Plan plan, plan_target(planned, profile, options, all.weights));
+    if (options.needs && !plan.variant.promise && all.plans.empty())
+      compiled.warnings.push_back(
+          "nothing can be left out: the sandwich has no promise that the needs keep");
     all.plans.push_back(std::move(plan));
     all.profiles.push_back(profile);
   }

@@ -42,6 +42,8 @@ struct CompileOptions {
   /// Bytes of a model file by its path in frame.json; needed for every graph but the first.
   std::function<Result<std::vector<uint8_t>>(const std::string& path)> load_model;
   FrameSizes sizes;  ///< for `frame`
+  /// What the scenes need that the package is for: passes have the forms of the promises that these keep.
+  std::optional<SceneNeeds> needs;
   std::string model_name = "model";
   /// Called with work done and work in all; returns false to stop (kBadInput "interrupted").
   std::function<bool(size_t done, size_t total)> progress;

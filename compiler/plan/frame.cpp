@@ -15,6 +15,7 @@ constexpr uint32_t kMaxDivide = 64;
 constexpr uint32_t kMaxMultiple = 256;
 constexpr uint32_t kMaxHistory = 8;
 constexpr uint32_t kMaxLocalSize = 32;
+constexpr size_t kMaxBoundChannels = 1024;
 
 /// A JSON object with the path that messages name it by.
 class Fields {
@@ -314,6 +315,112 @@ Result<void> parse_bindings(const Fields& fields, FramePass& pass) {
   return add("updates", true, true);
 }
 
+/// "defines": names with numbers.
+Result<std::vector<std::pair<std::string, std::string>>> parse_defines(const Fields& fields) {
+  std::vector<std::pair<std::string, std::string>> result;
+  if (!fields.has("defines")) return result;
+  const Json& defines = fields.json()["defines"];
+  if (!defines.is_object() || defines.size() > kMaxEntries)
+    return bad_input(fields.where(), "\"defines\" must be at most {} names with numbers",
+                     kMaxEntries);
+  for (const auto& [name, value] : defines.items()) {
+    if (!is_identifier(name) || !value.is_number())
+      return bad_input(fields.where(), "the definition \"{}\" is no name with a number", name);
+    result.emplace_back(name, value.is_number_integer()
+                                  ? std::to_string(value.get<int64_t>())
+                                  : fmt::format("{:.9e}", value.get<double>()));
+  }
+  return result;
+}
+
+/// A range [low, high], or what is read: "name" or "name.channel".
+Result<BoundPart> parse_bound_part(const Json& json, const std::string& where) {
+  BoundPart part;
+  if (json.is_array() && json.size() == 2 && json[0].is_number() && json[1].is_number()) {
+    part.low = json[0].get<double>();
+    part.high = json[1].get<double>();
+    if (!(part.low <= part.high))
+      return bad_input(where, "{} to {} is no range", part.low, part.high);
+    return part;
+  }
+  if (!json.is_string()) return bad_input(where, "must hold ranges [low, high] and names");
+  part.of = json.get<std::string>();
+  const size_t dot = part.of.find('.');
+  if (dot == std::string::npos) return part;
+  const std::string channel = part.of.substr(dot + 1);
+  if (channel.empty() || channel.size() > 3 ||
+      !std::all_of(channel.begin(), channel.end(), [](char c) { return c >= '0' && c <= '9'; }))
+    return bad_input(where, "\"{}\" has no channel behind its point", part.of);
+  part.channel = static_cast<uint32_t>(std::stoul(channel));
+  part.of.resize(dot);
+  return part;
+}
+
+/// "bounds": of what is written, a range, a list of parts with a name among them, or a list of either by channel.
+Result<void> parse_bounds(const Fields& fields, FramePass& pass) {
+  if (!fields.has("bounds")) return {};
+  const Json& all = fields.json()["bounds"];
+  if (!all.is_object() || all.size() > kMaxEntries)
+    return bad_input(fields.where(), "\"bounds\" must be at most {} names with ranges",
+                     kMaxEntries);
+  for (const auto& [name, json] : all.items()) {
+    const std::string where = fmt::format("{}.bounds.{}", fields.where(), name);
+    if (std::none_of(pass.bindings.begin(), pass.bindings.end(), [&](const FrameBinding& binding) {
+          return binding.writes && binding.name == name;
+        }))
+      return bad_input(where, "the pass writes nothing of that name");
+    BoundContract contract{name, {}};
+    const auto add = [&](const Json& of) -> Result<void> {
+      const bool is_list = of.is_array() && !of.empty() && !of[0].is_number();
+      std::vector<BoundPart>& parts = contract.channels.emplace_back();
+      for (const Json& part : is_list ? of : Json::array({of})) {
+        SHALE_TRY(parts.emplace_back(), parse_bound_part(part, where));
+      }
+      return {};
+    };
+    const bool is_one =
+        !json.is_array() || json.empty() || json[0].is_number() ||
+        std::any_of(json.begin(), json.end(), [](const Json& part) { return part.is_string(); });
+    if (is_one) {
+      SHALE_TRY_VOID(add(json));
+    } else {
+      for (const Json& channel : json) SHALE_TRY_VOID(add(channel));
+    }
+    if (contract.channels.size() > kMaxBoundChannels)
+      return bad_input(where, "has {} channels, expected at most {}", contract.channels.size(),
+                       kMaxBoundChannels);
+    pass.bounds.push_back(std::move(contract));
+  }
+  return {};
+}
+
+/// "when": of each promise, what is otherwise where it is kept; false leaves the pass out.
+Result<void> parse_forms(const Fields& fields, FramePass& pass) {
+  if (!fields.has("when")) return {};
+  const Json& forms = fields.json()["when"];
+  if (!forms.is_object() || forms.size() > kMaxEntries)
+    return bad_input(fields.where(), "\"when\" must be at most {} forms by their promises",
+                     kMaxEntries);
+  for (const auto& [promise, json] : forms.items()) {
+    const Fields form(json, fmt::format("{}.when.{}", fields.where(), promise));
+    PassForm parsed{promise, json == Json(false), {}, pass.bindings};
+    if (!parsed.is_left_out && !json.is_object())
+      return bad_input(form.where(), "must be an object, or false");
+    for (const auto& [key, value] : json.items())
+      if (json.is_object() && key != "defines" && key != "reads" && key != "writes")
+        return bad_input(form.where(), "\"{}\" is none of defines, reads, writes", key);
+    SHALE_TRY(parsed.defines, parse_defines(form));
+    FramePass own;
+    SHALE_TRY_VOID(parse_bindings(form, own));
+    std::erase_if(parsed.bindings, [&](const FrameBinding& binding) {
+      return (form.has("reads") && !binding.writes) || (form.has("writes") && !binding.reads);
+    });
+    parsed.bindings.insert(parsed.bindings.begin(), own.bindings.begin(), own.bindings.end());
+    pass.forms.push_back(std::move(parsed));
+  }
+  return {};
+}
+
 Result<std::vector<std::string>> parse_names(const Fields& fields, const char* key) {
   std::vector<std::string> names;
   SHALE_TRY(const std::vector<Fields> entries, fields.list(key));
@@ -381,22 +488,62 @@ Result<FramePass> parse_pass(const Fields& fields, SetIndex set) {
       pass.workgroup[i] = static_cast<uint32_t>(value);
     }
   }
-  if (fields.has("defines")) {
-    const Json& defines = fields.json()["defines"];
-    if (!defines.is_object() || defines.size() > kMaxEntries)
-      return bad_input(fields.where(), "\"defines\" must be at most {} names with numbers",
-                       kMaxEntries);
-    for (const auto& [name, value] : defines.items()) {
-      if (!is_identifier(name) || !value.is_number())
-        return bad_input(fields.where(), "the definition \"{}\" is no name with a number", name);
-      pass.defines.emplace_back(name, value.is_number_integer()
-                                          ? std::to_string(value.get<int64_t>())
-                                          : fmt::format("{:.9e}", value.get<double>()));
-    }
-  }
+  SHALE_TRY(pass.defines, parse_defines(fields));
   SHALE_TRY(pass.clears, parse_names(fields, "clears"));
   SHALE_TRY_VOID(parse_bindings(fields, pass));
+  SHALE_TRY_VOID(parse_forms(fields, pass));
+  SHALE_TRY_VOID(parse_bounds(fields, pass));
   return pass;
+}
+
+/// The check is a pass that raises kBrokenImage, and knows the promise's conditions as definitions.
+Result<FramePromise> parse_promise(const Fields& fields) {
+  FramePromise promise;
+  SHALE_TRY(promise.name, identifier(fields));
+  if (!fields.has("needs") || !fields.json()["needs"].is_object())
+    return bad_input(fields.where(), "\"needs\" must be an object");
+  const Fields needs(fields.json()["needs"], fields.where() + ".needs");
+  for (const auto& [key, value] : needs.json().items())
+    if (key != "motion_pixels" && key != "finite")
+      return bad_input(needs.where(), "\"{}\" is none of motion_pixels, finite", key);
+  if (needs.has("motion_pixels")) {
+    SHALE_TRY(promise.motion_pixels, needs.number("motion_pixels", 0, kMaxImageExtent));
+  }
+  if (needs.has("finite")) {
+    if (needs.json()["finite"] != Json(true))
+      return bad_input(needs.where(), "\"finite\" must be true");
+    promise.finite = true;
+  }
+  if (!promise.motion_pixels && !promise.finite)
+    return bad_input(needs.where(), "there is no condition");
+  if (!fields.has("check") || !fields.json()["check"].is_object())
+    return bad_input(fields.where(), "\"check\" must be a pass");
+  SHALE_TRY(promise.check,
+            parse_pass(Fields(fields.json()["check"], fields.where() + ".check"), {}));
+  if (!promise.check.graph.empty() || !promise.check.forms.empty())
+    return bad_input(fields.where() + ".check", "must be a pass of shaders without other forms");
+  promise.check.bindings.push_back({kBrokenImage, kBrokenImage, true, true, 0});
+  if (promise.motion_pixels)
+    promise.check.defines.emplace_back("MOTION_PIXELS",
+                                       fmt::format("{:.9e}", *promise.motion_pixels));
+  return promise;
+}
+
+/// Forms are of promises that there are.
+Result<void> check_forms(const Frame& frame) {
+  for (const FrameProgram& program : frame.programs)
+    for (const FramePass& pass : program.passes)
+      for (const PassForm& form : pass.forms)
+        if (std::none_of(frame.promises.begin(), frame.promises.end(),
+                         [&](const FramePromise& each) { return each.name == form.promise; }))
+          return bad_input("pass \"" + pass.name + "\"",
+                           "\"when\" names \"{}\", which is no promise", form.promise);
+  if (!frame.promises.empty())
+    for (const FrameImage& image : frame.images)
+      if (image.name == kBrokenImage || image.name == kGridsImage)
+        return bad_input("frame.images", "the name \"{}\" is taken by what checks promises",
+                         image.name);
+  return {};
 }
 
 Result<FrameProgram> parse_program(const Fields& fields, std::string name, SetIndex set = {}) {
@@ -530,6 +677,14 @@ Result<Frame> parse_frame(const std::string& text) {
     SHALE_TRY(FrameTensor tensor, parse_tensor(fields));
     frame.tensors.push_back(std::move(tensor));
   }
+  SHALE_TRY(const std::vector<Fields> promises, root.list("promises"));
+  for (const Fields& fields : promises) {
+    SHALE_TRY(FramePromise promise, parse_promise(fields));
+    for (const FramePromise& other : frame.promises)
+      if (other.name == promise.name)
+        return bad_input(fields.where(), "the name \"{}\" is used twice", promise.name);
+    frame.promises.push_back(std::move(promise));
+  }
   if (root.has("passes") == root.has("programs"))
     return bad_input("frame", "either \"passes\" or \"programs\" must be there");
   if (root.has("sets")) {
@@ -550,7 +705,29 @@ Result<Frame> parse_frame(const std::string& text) {
     frame.programs.push_back(std::move(program));
   }
   if (frame.programs.empty()) return bad_input("frame.programs", "there is no program");
+  SHALE_TRY_VOID(check_forms(frame));
   return frame;
+}
+
+std::vector<const FramePromise*> kept_promises(const Frame& frame, const SceneNeeds& needs,
+                                               FrameExtent render) {
+  // What moves so far in one size moves as many times as far in a larger one.
+  std::optional<double> motion = needs.motion_pixels;
+  if (motion && needs.render)
+    *motion *= std::max(render.width / (*needs.render)[0], render.height / (*needs.render)[1]);
+  std::vector<const FramePromise*> kept;
+  for (const FramePromise& promise : frame.promises)
+    if ((!promise.motion_pixels || (motion && *motion <= *promise.motion_pixels)) &&
+        (!promise.finite || needs.finite == true))
+      kept.push_back(&promise);
+  return kept;
+}
+
+std::string promise_text(const FramePromise& promise) {
+  std::string text;
+  if (promise.motion_pixels) text = fmt::format("motion_pixels at most {}", *promise.motion_pixels);
+  if (promise.finite) text += fmt::format("{}finite", text.empty() ? "" : ", ");
+  return text;
 }
 
 std::vector<std::string> graph_files(const Frame& frame) {

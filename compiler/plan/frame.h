@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "compiler/plan/needs.h"
 #include "ir/base/sampling_pattern.h"
 #include "ir/package/package.h"
 
@@ -53,6 +54,27 @@ struct FrameBinding {
   uint32_t frames_back = 0;
 };
 
+/// A part of what values lie in: a range, or that of something the pass reads, of one channel or of all.
+struct BoundPart {
+  double low = 0, high = 0;
+  std::string of;  ///< if it is not empty
+  std::optional<uint32_t> channel;
+};
+/// What a pass promises of something that it writes, whatever it reads: the hull of the parts, once for all channels or for
+/// each. In real values, of tensors before they are quantized.
+struct BoundContract {
+  std::string name;
+  std::vector<std::vector<BoundPart>> channels;
+};
+
+/// How a pass of shaders is where a promise of the frame is kept.
+struct PassForm {
+  std::string promise;
+  bool is_left_out = false;
+  std::vector<std::pair<std::string, std::string>> defines;  ///< behind the pass's own
+  std::vector<FrameBinding> bindings;  ///< all of them, in place of the pass's
+};
+
 /// One pass of shaders, or a network's place.
 struct FramePass {
   std::string name;
@@ -66,7 +88,21 @@ struct FramePass {
   std::vector<std::pair<std::string, std::string>> defines;  ///< name and value for the shader
   std::vector<std::string> clears;  ///< images that are filled with zeros before it
   std::vector<FrameBinding> bindings;
+  std::vector<PassForm> forms;  ///< at most one a promise
+  std::vector<BoundContract> bounds;
 };
+
+/// Something that a scene may rule out, on which passes have other forms.
+struct FramePromise {
+  std::string name;
+  std::optional<double> motion_pixels;  ///< no motion is longer, render pixels
+  std::optional<bool> finite;
+  FramePass check;  ///< finds out whether a frame keeps it: it raises the image kBrokenImage
+};
+/// r32_uint, 1x1, in frames with a promise that is kept: a check stores a number above 0 where it is broken.
+inline constexpr const char* kBrokenImage = "broken";
+/// Behind the checks: the grids of passes that have another form, of which either is empty.
+inline constexpr const char* kGridsImage = "grids";
 
 /// What is recorded at once.
 struct FrameProgram {
@@ -91,8 +127,9 @@ struct Frame {
   std::vector<FrameView> views;
   std::vector<FrameImage> images;
   std::vector<FrameTensor> tensors;
+  std::vector<FramePromise> promises;
   std::vector<FrameProgram> programs;  ///< at least one
-  std::string chosen_by;  ///< the parameter that chooses among the programs, or empty
+  std::string chosen_by;               ///< the parameter that chooses among the programs, or empty
 };
 
 /// The model files of a frame's graphs, each once, in the order of the passes.
@@ -104,6 +141,12 @@ std::vector<const FramePass*> shader_passes(const Frame& frame);
 /// Reads untrusted JSON of schema "shale-frame/2"; the form is in compiler/driver/README.md.
 /// Errors: kBadInput naming the field.
 Result<Frame> parse_frame(const std::string& json);
+
+/// The promises of the frame that a scene with these needs keeps at this render size.
+std::vector<const FramePromise*> kept_promises(const Frame& frame, const SceneNeeds& needs,
+                                               FrameExtent render);
+/// Its conditions, for people: "motion_pixels at most 0.03".
+std::string promise_text(const FramePromise& promise);
 
 /// Takes the frame's own sizes for what is not given; an output size that is not given follows from
 /// the render size by the frame's own ratio.

@@ -5,11 +5,13 @@
 #include <set>
 
 #include "compiler/plan/accessors.h"
+#include "compiler/plan/frame_bounds.h"
 
 namespace shale {
 namespace {
 
 constexpr const char* kAccessorFile = "generated_accessors.glsl";
+constexpr const char* kChoicePass = "choose_passes";
 
 std::string pass_label(const FramePass& pass) { return "pass \"" + pass.name + "\""; }
 
@@ -25,6 +27,58 @@ Result<uint32_t> find_resource(const Variant& variant, const std::string& name,
 }
 
 // --- what there is
+
+/// When a pass runs.
+enum class Runs : uint8_t { kAlways, kKept, kBroken };
+
+/// A pass, or one of the two forms of a pass.
+struct RunPass {
+  FramePass pass;
+  Runs runs = Runs::kAlways;
+  bool is_last_form = true;
+};
+
+/// The passes of a program as they run: where a promise is kept that some have forms for, the checks first.
+std::vector<RunPass> run_passes(const FrameProgram& program,
+                                std::span<const FramePromise* const> kept) {
+  std::vector<RunPass> passes;
+  bool has_forms = false;
+  for (const FramePass& pass : program.passes) {
+    RunPass special{pass, Runs::kKept};
+    bool is_left_out = false, has_form = false;
+    for (const FramePromise* promise : kept)
+      for (const PassForm& form : pass.forms) {
+        if (form.promise != promise->name) continue;
+        has_form = true;
+        is_left_out = is_left_out || form.is_left_out;
+        special.pass.name += "_" + promise->name;
+        special.pass.bindings = form.bindings;
+        for (const auto& define : form.defines) {
+          std::erase_if(special.pass.defines,
+                        [&](const auto& other) { return other.first == define.first; });
+          special.pass.defines.push_back(define);
+        }
+      }
+    passes.push_back({pass, has_form ? Runs::kBroken : Runs::kAlways, !has_form || is_left_out});
+    has_forms = has_forms || has_form;
+    if (!has_form || is_left_out) continue;
+    special.pass.clears.clear();  // what the full form cleared
+    passes.push_back(std::move(special));
+  }
+  if (!has_forms) return passes;
+  std::vector<RunPass> checked;
+  for (const FramePromise* promise : kept) checked.push_back({promise->check});
+  checked.front().pass.clears.push_back(kBrokenImage);
+  FramePass choice;
+  choice.name = kChoicePass;
+  choice.workgroup[0] = choice.workgroup[1] = 1;
+  choice.bindings = {{kBrokenImage, kBrokenImage, true, false, 0},
+                     {kGridsImage, kGridsImage, false, true, 0}};
+  checked.push_back({std::move(choice)});
+  checked.insert(checked.end(), std::make_move_iterator(passes.begin()),
+                 std::make_move_iterator(passes.end()));
+  return checked;
+}
 
 Result<void> add_images(Plan& plan, const LoweringOptions& options) {
   std::set<std::string> names;
@@ -143,13 +197,13 @@ IncludeLoader includes_of(const FramePass& pass, const ShaderLoader& load, std::
   };
 }
 
-Result<UsedPass> used_pass(const Variant& variant, const FramePass& pass,
+Result<UsedPass> used_pass(const Variant& variant, const FramePass& pass, std::string glsl,
                            const LoweringOptions& options, bool is_linear) {
   UsedPass used;
   used.pass = &pass;
   ModuleSource& source = used.source;
-  SHALE_TRY(source.glsl, options.load_shader(pass.shader));
-  source.where = pass.shader;
+  source.glsl = std::move(glsl);
+  source.where = pass.shader.empty() ? pass.name : pass.shader;
   source.defines = pass_defines(variant, pass);
   source.defines.emplace_back("SHALE_LINEAR", is_linear ? "1" : "0");
   source.load = includes_of(pass, options.load_shader, "");
@@ -244,8 +298,10 @@ Places choose_places(Plan& plan, const std::vector<UsedPass>& passes, bool is_li
   for (uint32_t i = 0; i < count; ++i) {
     places.accessed.push_back(i);
     const Resource& image = variant.resources[i];
-    const bool linear = in_buffer[i] && (!is_image(image.category) ||
-                                         (is_read[i] && image.category != Category::kImageOutput));
+    const bool linear =
+        shale::is_linear(image) ||  // that of grids, on every target
+        (in_buffer[i] &&
+         (!is_image(image.category) || (is_read[i] && image.category != Category::kImageOutput)));
     places.forms.push_back(linear ? AccessForm::kBuffer : AccessForm::kImage);
     if (!linear || !is_image(image.category)) continue;
     const uint64_t bytes = uint64_t{linear_pitch(image.format, image.width)} * image.height *
@@ -362,14 +418,77 @@ std::optional<uint32_t> shown_as(const Variant& variant, const Frame& frame,
   return std::nullopt;
 }
 
-Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places& places,
-                      const LoweringOptions& options) {
+Result<std::array<uint32_t, 3>> workgroups_of(const Variant& variant, const FramePass& pass,
+                                              const LoweringOptions& options) {
+  SHALE_TRY(const FrameExtent grid, grid_of(variant, pass, options));
+  return std::array{(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
+                    (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1u};
+}
+
+/// The shader that chooses between the forms of passes: the n-th of those that do not always run has three words from
+/// 3 * n on.
+Result<std::string> choice_shader(const Variant& variant, std::span<const RunPass> passes,
+                                  const LoweringOptions& options) {
+  std::string stores;
+  size_t word = 0;
+  for (const RunPass& each : passes) {
+    if (each.runs == Runs::kAlways) continue;
+    SHALE_TRY(const auto workgroups, workgroups_of(variant, each.pass, options));
+    for (const uint32_t count : workgroups)
+      stores += fmt::format("  store_{}(ivec2({}, 0), {}kept ? {}u : 0u);\n", kGridsImage, word++,
+                            each.runs == Runs::kKept ? "" : "!", count);
+  }
+  return fmt::format(R"(#version 450
+#include "access.glsl"
+layout(local_size_x = 1) in;
+void main() {{
+  const bool kept = fetch_{}(ivec2(0)) == 0u;
+{}}}
+)",
+                     kBrokenImage, stores);
+}
+
+/// The images of promises, where some pass of the programs has a form for one.
+void add_promise(Plan& plan, std::span<const std::vector<RunPass>> programs,
+                 const LoweringOptions& options) {
+  std::ptrdiff_t most = 0;
+  for (const std::vector<RunPass>& passes : programs)
+    most = std::max(most, std::count_if(passes.begin(), passes.end(), [](const RunPass& each) {
+                      return each.runs != Runs::kAlways;
+                    }));
+  if (most == 0) return;
+  Resource broken;
+  broken.name = kBrokenImage;
+  broken.category = Category::kImageInternal;
+  broken.format = ImageFormat::kR32Uint;
+  broken.width = broken.height = 1;
+  Resource grids = broken;
+  grids.name = kGridsImage;
+  grids.width = 3 * static_cast<uint32_t>(most);
+  grids.size_bytes = uint64_t{linear_pitch(grids.format, grids.width)} * 4;
+  std::string text;
+  for (const FramePromise* promise : options.kept)
+    text +=
+        fmt::format("{}{} ({})", text.empty() ? "" : ", ", promise->name, promise_text(*promise));
+  plan.variant.promise = Promise{text, static_cast<uint32_t>(plan.variant.resources.size())};
+  plan.variant.resources.push_back(std::move(broken));
+  plan.variant.resources.push_back(std::move(grids));
+}
+
+Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const RunPass& runs,
+                      uint32_t first_word, const Places& places, const LoweringOptions& options) {
   const FramePass& pass = *used.pass;
   Dispatch dispatch;
   dispatch.kernel = "pass";
-  SHALE_TRY(const FrameExtent grid, grid_of(plan.variant, pass, options));
-  dispatch.workgroups = {(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
-                         (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1};
+  if (runs.runs != Runs::kAlways) {
+    SHALE_TRY(const uint32_t grids, find_resource(plan.variant, kGridsImage, pass_label(pass)));
+    dispatch.indirect = IndirectGrid{grids, first_word};
+  }
+  if (pass.shader.empty()) {
+    dispatch.workgroups = {1, 1, 1};
+  } else {
+    SHALE_TRY(dispatch.workgroups, workgroups_of(plan.variant, pass, options));
+  }
   std::string accessors;
   std::vector<std::pair<uint32_t, uint32_t>> shows;
   for (size_t b = 0; b < pass.bindings.size(); ++b) {
@@ -417,6 +536,9 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const Places&
   if (same == plan.sources.end()) plan.sources.push_back(std::move(used.source));
   add_segment(plan, SegmentKind::kCompute, program, pass.name, std::move(dispatch),
               options.profile);
+  // What is expected to run is what is paid for.
+  if (runs.runs == Runs::kBroken) plan.variant.segments.back().dispatches.back().cost = {};
+  if (!runs.is_last_form) return {};
   for (const auto& [from, to] : shows) add_copy(plan, program, from, to, options.profile);
   return {};
 }
@@ -462,12 +584,21 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
   variant.chosen_by = frame.chosen_by;
   SHALE_TRY_VOID(check_shown(variant, frame));
 
+  std::vector<std::vector<RunPass>> runs;  // by program
+  for (const FrameProgram& program : frame.programs)
+    runs.push_back(run_passes(program, options.kept));
+  add_promise(plan, runs, options);
   const bool is_linear = prefers_buffers(variant, options.profile);
   std::vector<UsedPass> passes;
-  for (const FramePass* pass : shader_passes(frame)) {
-    SHALE_TRY(UsedPass used, used_pass(variant, *pass, options, is_linear));
-    passes.push_back(std::move(used));
-  }
+  for (const std::vector<RunPass>& program : runs)
+    for (const RunPass& each : program) {
+      if (!each.pass.graph.empty()) continue;
+      SHALE_TRY(std::string glsl, each.pass.shader.empty()
+                                      ? choice_shader(variant, program, options)
+                                      : options.load_shader(each.pass.shader));
+      SHALE_TRY(UsedPass used, used_pass(variant, each.pass, std::move(glsl), options, is_linear));
+      passes.push_back(std::move(used));
+    }
   const Places places = choose_places(plan, passes, is_linear);
 
   const std::vector<std::string> files = graph_files(frame);
@@ -484,13 +615,15 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
     variant.choices.insert(variant.choices.end(), program.at.begin(), program.at.end());
     for (const auto& [from, to] : places.copies) {
       const std::string& name = variant.resources[from].name;
-      if (std::any_of(program.passes.begin(), program.passes.end(), [&](const FramePass& pass) {
-            return std::any_of(pass.bindings.begin(), pass.bindings.end(),
+      if (std::any_of(runs[index].begin(), runs[index].end(), [&](const RunPass& each) {
+            return std::any_of(each.pass.bindings.begin(), each.pass.bindings.end(),
                                [&](const FrameBinding& binding) { return binding.name == name; });
           }))
         add_copy(plan, index, from, to, options.profile);
     }
-    for (const FramePass& pass : program.passes) {
+    uint32_t first_word = 0;
+    for (const RunPass& each : runs[index]) {
+      const FramePass& pass = each.pass;
       if (!pass.graph.empty()) {
         const size_t which =
             static_cast<size_t>(std::find(files.begin(), files.end(), pass.graph) - files.begin());
@@ -498,9 +631,11 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
         continue;
       }
       SHALE_TRY_VOID(add_clears(plan, index, pass, options.profile));
-      SHALE_TRY_VOID(add_pass(plan, index, std::move(*used++), places, options));
+      SHALE_TRY_VOID(add_pass(plan, index, std::move(*used++), each, first_word, places, options));
+      if (each.runs != Runs::kAlways) first_word += 3;
     }
   }
+  SHALE_TRY(variant.bounds, frame_bounds(variant, frame, graphs));
   return add_views(plan, frame);
 }
 

@@ -52,6 +52,10 @@ std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, cons
   const auto& [x, y, z] = dispatch.workgroups;
   std::string text = fmt::format("  {} {}: {}", number, dispatch.name, dispatch.kernel);
   if (segment.kind != SegmentKind::kTransfer) text += fmt::format(" {}x{}x{}", x, y, z);
+  if (dispatch.indirect)
+    text += fmt::format(" or none, by words {} to {} of {}", dispatch.indirect->first,
+                        dispatch.indirect->first + 2,
+                        plan.variant.resources[dispatch.indirect->resource].name);
   text += '\n';
   for (const Binding& binding : dispatch.bindings)
     text += fmt::format(
@@ -72,6 +76,7 @@ std::string print_plan(const Plan& plan) {
   for (const Param& param : variant.params)
     text += fmt::format("  param {} at {}: {} of {}\n", param.name, param.offset_bytes,
                         param.components, param.is_integer ? "int" : "float");
+  if (variant.promise) text += fmt::format("  promised: {}\n", variant.promise->text);
   text += "resources\n";
   for (uint32_t i = 0; i < variant.resources.size(); ++i) {
     const Resource& resource = variant.resources[i];

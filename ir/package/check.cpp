@@ -251,6 +251,24 @@ Result<void> check_transfer(const std::string& where, const Dispatch& transfer,
   return {};
 }
 
+Result<void> check_indirect(const std::string& where, const IndirectGrid& grid,
+                            const Variant& variant, SegmentKind segment) {
+  if (segment != SegmentKind::kCompute)
+    return bad_input(where, "has a grid of the device outside of a compute segment");
+  if (grid.resource >= variant.resources.size())
+    return bad_input(where, "grid: resource {} does not exist, there are {}", grid.resource,
+                     variant.resources.size());
+  const Resource& words = variant.resources[grid.resource];
+  if (!is_linear(words) || words.category != Category::kImageInternal ||
+      words.format != ImageFormat::kR32Uint)
+    return bad_input(where, "grid: \"{}\" is no linear r32_uint image of the frame loop's own",
+                     words.name);
+  if (grid.first > words.size_bytes / 4 - 3)
+    return bad_input(where, "grid: words {} to {} leave the {} of \"{}\"", grid.first,
+                     uint64_t{grid.first} + 2, words.size_bytes / 4, words.name);
+  return {};
+}
+
 Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
                             const Variant& variant, SegmentKind segment) {
   SHALE_TRY_VOID(check_name(where, "kernel name", dispatch.kernel));
@@ -272,6 +290,8 @@ Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
   }
   if (samplers > kMaxSamplers)
     return bad_input(where, "has {} samplers, more than {}", samplers, kMaxSamplers);
+  if (dispatch.indirect)
+    SHALE_TRY_VOID(check_indirect(where, *dispatch.indirect, variant, segment));
   if (segment == SegmentKind::kTransfer) SHALE_TRY_VOID(check_transfer(where, dispatch, variant));
   if (!(std::isfinite(dispatch.cost.time_us) && dispatch.cost.time_us >= 0))
     return bad_input(where, "predicted time {} is not a duration", dispatch.cost.time_us);
@@ -391,6 +411,43 @@ Result<void> check_generator(const std::string& where, const Variant& variant) {
                            "would find",
                            resource.name);
       }
+  return {};
+}
+
+Result<void> check_promise(const std::string& where, const Variant& variant) {
+  if (!variant.promise) return {};
+  SHALE_TRY_VOID(check_name(where, "text of the promise", variant.promise->text));
+  if (variant.promise->broken >= variant.resources.size())
+    return bad_input(where, "promise: resource {} does not exist, there are {}",
+                     variant.promise->broken, variant.resources.size());
+  const Resource& broken = variant.resources[variant.promise->broken];
+  if (broken.category != Category::kImageInternal || broken.format != ImageFormat::kR32Uint ||
+      broken.width != 1 || broken.height != 1)
+    return bad_input(where, "promise: \"{}\" is no r32_uint image of 1x1 of the frame loop's own",
+                     broken.name);
+  return {};
+}
+
+Result<void> check_bounds(const std::string& where, const Variant& variant) {
+  for (size_t i = 0; i < variant.bounds.size(); ++i) {
+    const ValueBounds& bounds = variant.bounds[i];
+    const std::string at = fmt::format("{}, bounds {}", where, i);
+    if (bounds.resource >= variant.resources.size() ||
+        (i > 0 && bounds.resource <= variant.bounds[i - 1].resource))
+      return bad_input(at, "resource {} does not exist, or is out of order", bounds.resource);
+    const Resource& resource = variant.resources[bounds.resource];
+    const uint64_t channels =
+        is_image(resource.category) ? image_format_info(resource.format).channels
+        : resource.shape.empty()    ? 1
+                                    : static_cast<uint64_t>(resource.shape.back());
+    if (bounds.low.size() != bounds.high.size() ||
+        (bounds.low.size() != 1 && bounds.low.size() != channels))
+      return bad_input(at, "{} and {} values, expected one, or one for each of {} channels",
+                       bounds.low.size(), bounds.high.size(), channels);
+    for (size_t c = 0; c < bounds.low.size(); ++c)
+      if (!(bounds.low[c] <= bounds.high[c]))
+        return bad_input(at, "{}..{} is no range", bounds.low[c], bounds.high[c]);
+  }
   return {};
 }
 
@@ -529,6 +586,8 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
   SHALE_TRY_VOID(check_params(where, variant));
   SHALE_TRY_VOID(check_choices(where, variant));
   SHALE_TRY_VOID(check_generator(where, variant));
+  SHALE_TRY_VOID(check_promise(where, variant));
+  SHALE_TRY_VOID(check_bounds(where, variant));
   for (size_t i = 0; i < variant.views.size(); ++i)
     SHALE_TRY_VOID(check_view(fmt::format("{}, view {}", where, i), variant.views[i], variant));
   for (size_t i = 0; i < variant.proofs.size(); ++i) {

@@ -78,6 +78,9 @@ void dump_segment(std::string& text, const Segment& segment, const Variant& vari
   for (const Dispatch& d : segment.dispatches) {
     line(text, "    \"{}\": {} module {} grid {}x{}x{}", d.name, d.kernel, d.module,
          d.workgroups[0], d.workgroups[1], d.workgroups[2]);
+    if (d.indirect)
+      line(text, "      as many as words {}..{} of \"{}\" say", d.indirect->first,
+           d.indirect->first + 2, variant.resources[d.indirect->resource].name);
     line(text, "      predicted {:.1f} us: {} macs, {} other ops, {} bytes read, {} written",
          d.cost.time_us, d.cost.macs, d.cost.ops, d.cost.bytes_read, d.cost.bytes_written);
     for (const Binding& binding : d.bindings) dump_binding(text, binding, variant);
@@ -88,6 +91,9 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
   line(text, "variant {}: target \"{}\" (class {}), arena {} bytes", index, variant.target,
        device_class_name(variant.device_class), variant.arena_bytes);
   dump_requirements(text, variant.requirements);
+  if (variant.promise)
+    line(text, "  promised: {}; \"{}\" is not 0 in a frame that breaks it", variant.promise->text,
+         variant.resources[variant.promise->broken].name);
   line(text, "  resources: {}", variant.resources.size());
   for (size_t i = 0; i < variant.resources.size(); ++i)
     dump_resource(text, i, variant.resources[i]);
@@ -121,6 +127,13 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
   for (const View& v : variant.views)
     line(text, "    \"{}\": channels {}..{} of \"{}\", {} to {}", v.title, v.first_channel,
          v.first_channel + v.channels - 1, variant.resources[v.resource].name, v.low, v.high);
+  if (!variant.bounds.empty()) line(text, "  bounds, for every input: {}", variant.bounds.size());
+  for (const ValueBounds& bounds : variant.bounds) {
+    std::string ranges;
+    for (size_t c = 0; c < bounds.low.size(); ++c)
+      ranges += fmt::format(" {:g}..{:g}", bounds.low[c], bounds.high[c]);
+    line(text, "    \"{}\":{}", variant.resources[bounds.resource].name, ranges);
+  }
   line(text, "  proofs: {}", variant.proofs.size());
   for (const RangeProof& proof : variant.proofs) {
     line(text, "    \"{}\": {} channels", proof.name, proof.min.size());

@@ -83,7 +83,10 @@ Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
   const auto cost = fbs::CreateCost(builder, d.cost.macs, d.cost.ops, d.cost.bytes_read,
                                     d.cost.bytes_written, d.cost.time_us);
   const fbs::Grid grid(d.workgroups[0], d.workgroups[1], d.workgroups[2]);
-  return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost);
+  const fbs::IndirectGrid indirect =
+      d.indirect ? fbs::IndirectGrid(d.indirect->resource, d.indirect->first) : fbs::IndirectGrid();
+  return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost,
+                             d.indirect ? &indirect : nullptr);
 }
 
 Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
@@ -117,6 +120,11 @@ Offset<fbs::View> write_view(Builder& builder, const View& v) {
                          v.channels, v.low, v.high);
 }
 
+Offset<fbs::ValueBounds> write_bounds(Builder& builder, const ValueBounds& b) {
+  const auto low = builder.CreateVector(b.low);
+  return fbs::CreateValueBounds(builder, b.resource, low, builder.CreateVector(b.high));
+}
+
 Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto target = builder.CreateString(v.target);
   const Requirements& r = v.requirements;
@@ -140,10 +148,16 @@ Offset<fbs::Variant> write_variant(Builder& builder, const Variant& v) {
   const auto generator = v.generator ? fbs::CreateGenerator(builder, v.generator->program,
                                                             v.generator->after, v.generator->until)
                                      : 0;
+  const auto bounds =
+      v.bounds.empty() ? 0 : write_all<fbs::ValueBounds>(builder, v.bounds, write_bounds);
+  const auto promise =
+      v.promise
+          ? fbs::CreatePromise(builder, builder.CreateString(v.promise->text), v.promise->broken)
+          : 0;
   return fbs::CreateVariant(builder, target, requirements, v.arena_bytes, resources, segments,
                             modules, proofs, params, views, programs,
                             static_cast<fbs::DeviceClass>(v.device_class), chosen_by, choices,
-                            generator);
+                            generator, promise, bounds);
 }
 
 // ---- Reading: verified tables to plain data. check_package judges the enum values later.
@@ -244,6 +258,8 @@ Dispatch read_dispatch(Copier& copy, const fbs::Dispatch& d) {
   const fbs::Cost& cost = *d.cost();
   dispatch.cost = {cost.macs(), cost.ops(), cost.bytes_read(), cost.bytes_written(),
                    cost.time_us()};
+  if (const fbs::IndirectGrid* g = d.indirect())
+    dispatch.indirect = IndirectGrid{g->resource(), g->first()};
   return dispatch;
 }
 
@@ -285,6 +301,10 @@ View read_view(Copier& copy, const fbs::View& v) {
           .high = v.high()};
 }
 
+ValueBounds read_bounds(Copier& copy, const fbs::ValueBounds& b) {
+  return {.resource = b.resource(), .low = copy.scalars(b.low()), .high = copy.scalars(b.high())};
+}
+
 Variant read_variant(Copier& copy, const fbs::Variant& v) {
   Variant variant;
   variant.target = copy.text(v.target());
@@ -312,6 +332,9 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   if (v.choices()) variant.choices = copy.scalars(v.choices());
   if (const fbs::Generator* g = v.generator())
     variant.generator = {g->program(), g->after(), g->until()};
+  if (const fbs::Promise* promise = v.promise())
+    variant.promise = {copy.text(promise->text()), promise->broken()};
+  variant.bounds = copy.tables(v.bounds(), read_bounds);
   return variant;
 }
 

@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 6;
+inline constexpr uint32_t kPackageMinor = 7;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -172,13 +172,23 @@ struct Cost {
   bool operator==(const Cost&) const = default;
 };
 
+/// A grid that an earlier dispatch of the program writes: three words from word `first` on of a linear
+/// r32_uint image of the frame loop's own.
+struct IndirectGrid {
+  uint32_t resource = 0;  ///< index into Variant::resources
+  uint32_t first = 0;
+  bool operator==(const IndirectGrid&) const = default;
+};
+
 struct Dispatch {
   std::string name;     ///< unique in a variant: joins predicted with measured times
   std::string kernel;   ///< family name, such as "conv2d_s8_f32exact"
   uint32_t module = 0;  ///< index into Variant::modules
-  std::array<uint32_t, 3> workgroups{1, 1, 1};
+  std::array<uint32_t, 3> workgroups{1, 1,
+                                     1};  ///< with `indirect` the largest that is written there
   std::vector<Binding> bindings;
   Cost cost;
+  std::optional<IndirectGrid> indirect{};  ///< only in kCompute segments
   bool operator==(const Dispatch&) const = default;
 };
 
@@ -260,6 +270,23 @@ inline float generated_time(const Generator& generator, uint32_t index, uint32_t
          static_cast<float>(index) / static_cast<float>(count + 1);
 }
 
+/// What the values of a history, or of a graph's input or output, lie in after any number of frames, whatever the host
+/// gives: int8 codes as they are stored, texels as shaders read them. From the contracts of the passes and the weights.
+struct ValueBounds {
+  uint32_t resource = 0;
+  std::vector<float> low, high;  ///< one for all channels, or one for each; low <= high
+  bool operator==(const ValueBounds&) const = default;
+};
+
+/// What the host promised of its frames when the package was compiled, such as that nothing moves. Passes
+/// that follow from it stand beside the full ones; a dispatch in front of both finds out whether the frame
+/// keeps it, and their grids say which of them run: what a frame shows never depends on the promise.
+struct Promise {
+  std::string text;     ///< for people
+  uint32_t broken = 0;  ///< an r32_uint image, 1x1: 0 after a frame that kept it
+  bool operator==(const Promise&) const = default;
+};
+
 /// A module's words; entry point "main", local size fixed in the words.
 using Spirv = std::vector<uint32_t>;
 
@@ -289,6 +316,8 @@ struct Variant {
   std::string chosen_by;
   std::vector<float> choices;
   std::optional<Generator> generator;  ///< then there are two programs, and the host names none
+  std::optional<Promise> promise;
+  std::vector<ValueBounds> bounds;  ///< of what they are known, in the order of the resources
   DeviceClass device_class = DeviceClass::kAny;
   bool operator==(const Variant&) const = default;
 };

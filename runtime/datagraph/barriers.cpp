@@ -42,6 +42,9 @@ std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch) {
     }
     result.push_back(access);
   }
+  if (dispatch.indirect)
+    result.push_back(
+        {(uint64_t{dispatch.indirect->resource} + 1) * kMaxHistoryDepth, 0, 1, true, false});
   return result;
 }
 

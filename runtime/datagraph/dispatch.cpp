@@ -189,6 +189,7 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
         pipeline_index.try_emplace({dispatch->module, layout->second}, wanted.size());
     if (new_pipeline) wanted.push_back({dispatch->module, layout->second});
     pipeline_of_step.push_back(pipeline->second);
+    has_indirect_ = has_indirect_ || dispatch->indirect;
     steps_.push_back({.dispatch = dispatch,
                       .set_layout = set_layouts_[layout->second].get(),
                       .layout = layouts_[layout->second].get(),
@@ -233,6 +234,10 @@ void Kernels::barrier(VkCommandBuffer commands) const {
     stages |= VK_PIPELINE_STAGE_TRANSFER_BIT;
     reads |= VK_ACCESS_TRANSFER_READ_BIT;
     writes |= VK_ACCESS_TRANSFER_WRITE_BIT;
+  }
+  if (has_indirect_) {
+    stages |= VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT;
+    reads |= VK_ACCESS_INDIRECT_COMMAND_READ_BIT;
   }
   vk::memory_barrier(context_, commands, stages, writes, stages, reads | writes);
 }
@@ -387,8 +392,14 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<co
     if (step.takes_params)
       vk.CmdPushConstants(commands, step.layout, VK_SHADER_STAGE_COMPUTE_BIT, 0,
                           static_cast<uint32_t>(params.size()), params.data());
-    const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
-    vk.CmdDispatch(commands, grid[0], grid[1], grid[2]);
+    if (const std::optional<IndirectGrid>& indirect = step.dispatch->indirect) {
+      const Target words = target(Binding{.resource = indirect->resource});
+      vk.CmdDispatchIndirect(commands, words.buffer,
+                             words.offset + sizeof(uint32_t) * indirect->first);
+    } else {
+      const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
+      vk.CmdDispatch(commands, grid[0], grid[1], grid[2]);
+    }
     if (timestamps) timestamps->mark(commands);
   }
 }

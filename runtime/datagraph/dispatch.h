@@ -98,6 +98,7 @@ class Kernels {
   std::vector<Step> steps_;             // program by program
   std::vector<size_t> program_begins_;  // in steps_, and the end
   bool has_transfers_ = false;
+  bool has_indirect_ = false;
 };
 
 /// What a binding leads to: a buffer from `offset` on, or an image in VK_IMAGE_LAYOUT_GENERAL: its

@@ -193,7 +193,8 @@ Result<void> FrameLoop::State::create_images() {
       if (is_linear(resource)) {
         SHALE_TRY(linear[i].emplace_back(),
                   vk::Buffer::create(kernels->context(), padded_bytes(resource.size_bytes),
-                                     kTensorBufferUsage, vk::MemoryKind::kDevice));
+                                     kTensorBufferUsage | VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT,
+                                     vk::MemoryKind::kDevice));
         continue;
       }
       // A view, which every image gets, needs a usage by shaders.

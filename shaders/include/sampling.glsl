@@ -17,6 +17,18 @@ Bilinear bilinear_at(vec2 uv, ivec2 size) {
   const vec2 base = floor(at);
   return Bilinear(ivec2(base), at - base);
 }
+/// As bilinear_at, in steps of 1/128 texel: more than `uv` loses by rounding in a picture of any size, so what stands still is
+/// read where it lies, and nothing around it.
+Bilinear settled_at(vec2 uv, ivec2 size) {
+  precise const vec2 at = floor((uv * vec2(size) - 0.5) * 128.0 + 0.5) * (1.0 / 128.0);
+  const vec2 base = floor(at);
+  return Bilinear(ivec2(base), at - base);
+}
+/// settled_at of what rests, bilinear_at of what moves.
+Bilinear bilinear_at(vec2 uv, ivec2 size, bool rests) {
+  if (rests) return settled_at(uv, size);
+  return bilinear_at(uv, size);
+}
 float bilinear_weight(vec2 part, int i) {
   return ((i & 1) == 0 ? 1.0 - part.x : part.x) * ((i & 2) == 0 ? 1.0 - part.y : part.y);
 }

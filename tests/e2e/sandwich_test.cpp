@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 #include <random>
+#include <tuple>
 
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
@@ -414,6 +415,99 @@ TEST_F(SandwichTest, SymmetricPassesFlipWithThePicture) {
       if (i % 12 >= 3 && i % 12 < 6)
         worst = std::max(worst, std::abs(double{a.values[i]} - b.values[i]));
     EXPECT_LE(worst, 1) << kind.model;
+  }
+}
+
+/// noise_frame without motion.
+SourceFrame resting_frame(Extent render, Extent output, uint32_t index) {
+  SourceFrame frame = noise_frame(render, output, index, kSeed);
+  std::fill(frame.motion.values.begin(), frame.motion.values.end(), 0.0f);
+  return frame;
+}
+
+TEST_F(SandwichTest, WhatAPromiseLeavesOutChangesNoBit) {
+  const std::vector<Kind> kinds{kKinds[0], kKinds[1], kKinds[3], {"baselines/mob_fgsr", {}, 2}};
+  // At twice the size and at others, even and odd, wide enough for places to be rounded; in buffers and in images.
+  const std::tuple<const char*, Extent, Extent> kForms[] = {{"lavapipe", {24, 20}, {48, 40}},
+                                                            {"lavapipe", {325, 9}, {650, 18}},
+                                                            {"lavapipe", {61, 37}, {100, 71}},
+                                                            {"dot8-gpu", {24, 20}, {48, 40}}};
+  for (const Kind& kind : kinds)
+    for (const auto& [target, render, output] : kForms) {
+      CompileOptions options = options_of(models() + kind.model, render, output);
+      options.targets = {target};
+      std::optional<Graph> graph;
+      if (!kind.outputs.empty()) graph = stand_in(kind, kSeed, input_size(options));
+      const auto player = [&] {
+        return must(Player::create(
+            *device_, must(compile_graph(graph.value_or(Graph{}), 0, options)).package));
+      };
+      const auto full = player();
+      options.needs = SceneNeeds{.motion_pixels = 0.0};
+      const auto needed = player();
+      for (uint32_t t = 0; t < 9; ++t) {
+        SourceFrame frame = resting_frame(render, output, t);
+        frame.camera.reverse_depth = t > 6;
+        frame.camera.cut = t == 7;
+        const bool breaks = t == 3 || t == 5;
+        if (t == 3) frame.motion = noise_frame(render, output, t, kSeed).motion;
+        if (t == 5) frame.motion.values.back() = std::numeric_limits<float>::quiet_NaN();
+        const FloatImage expected = must(full->play(frame)), shown = must(needed->play(frame));
+        size_t differ = 0;
+        for (size_t i = 0; i < shown.values.size(); ++i)
+          differ += shown.values[i] != expected.values[i];
+        EXPECT_EQ(differ, 0u) << kind.model << " on " << target << " " << render.width << "x"
+                              << render.height << " to " << output.width << "x" << output.height
+                              << " frame " << t << " of " << shown.values.size();
+        EXPECT_EQ(needed->kept_promise(), !breaks) << t;
+        EXPECT_EQ(full->kept_promise(), std::nullopt);
+      }
+    }
+}
+
+TEST_F(SandwichTest, TheDeviceChoosesBetweenTheFormsOfAPassInTheSameFrame) {
+  constexpr const char* kJson =
+      R"({"schema": "shale-frame/2", "render": [40, 24], "output": [40, 24],
+    "params": [{"name": "motion_scale", "type": "vec2", "default": [1, 1]}],
+    "images": [
+      {"name": "color", "role": "input", "format": "rgba16_float", "size": "render"},
+      {"name": "motion", "role": "input", "format": "rg16_float", "size": "render"},
+      {"name": "output", "role": "output", "format": "rgba16_float", "size": "output"}],
+    "promises": [{"name": "slow", "needs": {"motion_pixels": 2},
+      "check": {"name": "check", "shader": "still.comp", "over": {"of": "render", "divide": [16, 4]}, "reads": ["motion"]}}],
+    "passes": [{"name": "show", "shader": "show.comp", "over": "output", "defines": {"FORM": 1}, "reads": ["color"],
+      "writes": ["output"], "when": {"slow": {"defines": {"FORM": 2}}}}]})";
+  CompileOptions options;
+  options.frame = must(parse_frame(kJson));
+  options.load_shader = [](const std::string& path) -> Result<std::string> {
+    if (path == "still.comp") return read_text(source_folder() + "/shaders/frame/needs/still.comp");
+    return std::string(R"(#version 450
+#include "access.glsl"
+layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+SHALE_PARAMS;
+void main() {
+  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  if (at.x < OUTPUT_WIDTH && at.y < OUTPUT_HEIGHT) store_output(at, half4(rgb_of(fetch_color(at)) * float(FORM)));
+})");
+  };
+  options.needs = SceneNeeds{.motion_pixels = 4.0, .render = std::array{80.0, 48.0}};
+  for (const char* target : {"lavapipe", "dot8-gpu"}) {
+    options.targets = {target};
+    const Compiled compiled = must(compile_graph(Graph{}, 0, options));
+    EXPECT_EQ(must(read_package(write_package(compiled.package))), compiled.package);
+    const auto player = must(Player::create(*device_, compiled.package));
+    const Extent size{40, 24};
+    for (uint32_t t = 0; t < 12; ++t) {
+      SourceFrame frame = frame_of(size, size, t, [](double, double) { return Color{1, 1, 1}; });
+      // The last texel alone, in pixels across or down.
+      const float pixels = static_cast<float>(t) / 4;
+      frame.motion.values[frame.motion.values.size() - (t % 2 == 0 ? 2 : 1)] =
+          t % 2 == 0 ? pixels / 40 : pixels / 24;
+      const FloatImage shown = must(player->play(frame));
+      const bool kept = t <= 8;
+      EXPECT_EQ(player->kept_promise(), kept) << t;
+      for (const float value : shown.values) ASSERT_EQ(value, kept ? 2.0f : 1.0f) << t;
+    }
   }
 }
 

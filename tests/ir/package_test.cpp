@@ -243,9 +243,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.6 is newer than 1.6, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.7 is newer than 1.7, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.6 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.7 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -545,15 +545,24 @@ const BadPackage kBadPackages[] = {
      [](Package& p) { variant(p).choices[2] = std::numeric_limits<float>::infinity(); },
      "variant 0: inf chooses no program"},
     {"TimeWithoutGenerator",
-     [](Package& p) { variant(p).params.push_back({"t", false, 1, 20, ParamSource::kTime, {0}}); },
+     [](Package& p) {
+       variant(p).params.push_back({"t", false, 1, 20, ParamSource::kTime, {0}});
+     },
      "variant 0: parameter \"t\" is for a program that generates, and none does"},
     {"TimeIsAnInteger",
-     [](Package& p) { variant(p).params.push_back({"t", true, 1, 20, ParamSource::kTime, {0}}); },
+     [](Package& p) {
+       variant(p).params.push_back({"t", true, 1, 20, ParamSource::kTime, {0}});
+     },
      "variant 0, parameter \"t\": the time must be one float"},
     {"FramesAreAFloat",
-     [](Package& p) { variant(p).params.push_back({"n", false, 1, 20, ParamSource::kFrames, {0}}); },
+     [](Package& p) {
+       variant(p).params.push_back({"n", false, 1, 20, ParamSource::kFrames, {0}});
+     },
      "variant 0, parameter \"n\": the number of frames must be one integer"},
-    {"GeneratorAmongChoices", [](Package& p) { variant(p).generator = Generator{1, 0, 1}; },
+    {"GeneratorAmongChoices",
+     [](Package& p) {
+       variant(p).generator = Generator{1, 0, 1};
+     },
      "variant 0: a program that generates needs one other beside it, there are 1, chosen by a "
      "parameter"},
     {"GeneratorIsNoProgram",
@@ -719,7 +728,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.6\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.7\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\" (class dot8-gpu), arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",

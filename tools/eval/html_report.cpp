@@ -618,6 +618,7 @@ Json report_json(const EvalReport& report) {
       for (const FrameResult& frame : scene.methods[m].frames) {
         Json one = metrics_json(frame.metrics);
         put(one, "time_ms", frame.time_ms);
+        if (frame.kept_promise) one["kept_promise"] = *frame.kept_promise;
         method["frames"].push_back(std::move(one));
       }
       entry["methods"].push_back(std::move(method));

@@ -34,6 +34,7 @@ struct ShownFrame {
 struct FrameResult {
   FrameMetrics metrics;
   std::optional<double> time_ms;
+  std::optional<bool> kept_promise{};  ///< of a package with a promise: if not, the full passes ran
 };
 
 struct MethodResult {

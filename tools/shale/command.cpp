@@ -246,6 +246,10 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
                  "ratios")
       ->excludes(size)
       ->check(number_in(1, 16));
+  app.add_option(
+      "--needs", needs,
+      "what the scenes need (JSON of shale scene --needs, or by hand): what that rules out is not "
+      "computed; frames that need more take the full passes");
   app.add_option("--dump-after", dump_after, "print the graph after these passes")
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -316,6 +320,14 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
     const FrameExtent from = options.sizes.render.value_or(model.frame->render);
     const auto side = [&](uint32_t of) { return static_cast<uint32_t>(std::lround(of * ratio)); };
     options.sizes.output = FrameExtent{side(from.width), side(from.height)};
+  }
+  if (!needs.empty()) {
+    if (!model.frame)
+      return bad_input(model.path, "has no sandwich from which needs could leave anything out");
+    SHALE_TRY(const std::string text, read_text(needs));
+    Result<SceneNeeds> parsed = parse_needs(text);
+    if (!parsed) return in_file(needs, parsed.error());
+    options.needs = *std::move(parsed);
   }
   options.load_shader = [folder = model.frame_folder](const std::string& path) {
     return read_text((fs::path(folder) / path).string());

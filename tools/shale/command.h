@@ -88,7 +88,7 @@ struct CompileArguments {
   const DeviceArguments* device = nullptr;  ///< the device at hand, target "device"
   std::string default_target = "lavapipe";  ///< without a device at hand
   std::vector<std::string> kernels;
-  std::string frame, render, output, choices, constants, precision = "int8";
+  std::string frame, render, output, choices, constants, needs, precision = "int8";
   double ratio = 0;
   std::optional<double> expected_runs;
   std::vector<std::string> dump_after;

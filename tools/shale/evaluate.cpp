@@ -1,5 +1,7 @@
 #include "tools/shale/evaluate.h"
 
+#include <algorithm>
+
 #include "tools/eval/sequence.h"
 #include "tools/eval/tonemap.h"
 #include "tools/shale/pictures.h"
@@ -123,11 +125,23 @@ Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>&
       if (!metrics)
         return in_file(methods[m].player ? methods[m].name : methods[m].pictures[i],
                        metrics.error());
-      scene.methods[m].frames.push_back({*metrics, time_ms});
+      scene.methods[m].frames.push_back(
+          {*metrics, time_ms,
+           methods[m].player ? methods[m].player->kept_promise() : std::optional<bool>()});
     }
     if (shows) scene.shown.push_back(show_frame(i, track.reference().picture(), pictures, maps));
   }
   for (size_t m = 0; m < methods.size(); ++m) scene.methods[m].means = evaluators[m].finish();
+  for (size_t m = 0; m < methods.size(); ++m) {
+    const std::vector<FrameResult>& frames = scene.methods[m].frames;
+    if (!methods[m].player || !methods[m].player->variant().promise) continue;
+    scene.notes.push_back(fmt::format(
+        "{}: {} of {} frames kept the promise {}, the others took the full passes.",
+        methods[m].name,
+        std::count_if(frames.begin(), frames.end(),
+                      [](const FrameResult& frame) { return frame.kept_promise == true; }),
+        count, methods[m].player->variant().promise->text));
+  }
   scene.notes.push_back("IF-SSIM masks by depth as it is stored, which is hyperbolic.");
   return scene;
 }

@@ -357,12 +357,18 @@ Result<void> Player::run(std::vector<DispatchTime>* times) {
     return bad_input("", "the package has {} programs, and none is named",
                      loop_.variant().programs.size());
   program_ = *program;
-  return submit(
+  SHALE_TRY_VOID(submit(
       *program,
       [&](VkCommandBuffer commands, vk::Timestamps* timestamps) {
         return loop_.record(*program, commands, timestamps);
       },
-      times);
+      times));
+  if (const std::optional<Promise>& promise = loop_.variant().promise) {
+    SHALE_TRY(const FloatImage broken,
+              read(loop_.variant().resources[promise->broken].name, false));
+    kept_promise_ = broken.values[0] == 0;
+  }
+  return {};
 }
 
 Result<void> Player::submit(

@@ -57,6 +57,9 @@ class Player {
   const Variant& variant() const { return loop_.variant(); }
   /// The program that the last frame ran.
   uint32_t program() const { return program_; }
+  /// Whether the last frame kept the package's promise, so that the passes of kept promises made it, or took the full
+  /// ones; nothing without a promise.
+  std::optional<bool> kept_promise() const { return kept_promise_; }
 
   /// The next frame starts without a past. Frames with a cut do so themselves.
   void reset();
@@ -122,6 +125,7 @@ class Player {
   float exposure_ = 1;  ///< of the last frame
   bool has_past_ = false;
   uint32_t program_ = 0;
+  std::optional<bool> kept_promise_;
   std::string compiles_;  ///< what the first frame waits for; empty after it
 };
 

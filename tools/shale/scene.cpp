@@ -10,7 +10,10 @@
 #include "tools/scene/scene_source.h"
 #include "tools/shale/command.h"
 #include "tools/shale/device_run.h"
+#include "tools/shale/measure_needs.h"
+#include "tools/shale/outputs.h"
 #include "tools/shale/picture.h"
+#include "tools/shale/source.h"
 
 namespace shale {
 namespace {
@@ -19,7 +22,7 @@ namespace fs = std::filesystem;
 
 struct Arguments {
   std::vector<std::string> scenes, crops;
-  std::string output, render = "960x540", size, pattern = "halton";
+  std::string needs, output, render = "960x540", size, pattern = "halton";
   double ratio = 2, frame_rate = 0;
   uint32_t first = 0, frames = 0;
   uint32_t random_crops = 0, crop_size = 256, clip_length = 16, seed = 1, number = 0;
@@ -92,7 +95,61 @@ Result<void> save_previews(const fs::path& root, uint32_t number, uint32_t index
   return {};
 }
 
+/// --needs: looks at the frames of scenes and datasets, and writes what they need.
+Result<int> write_needs(const Arguments& arguments) {
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("--needs", arguments.needs));
+  SHALE_TRY(const Extent render, extent_of("--render", arguments.render));
+  SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
+  std::optional<SceneNeeds> all;
+  {
+    Progress progress("looking at frames");
+    size_t seen = 0;
+    SourceArguments from;
+    from.frames = arguments.frames;
+    from.first = arguments.first;
+    for (const std::string& path : arguments.scenes) {
+      std::unique_ptr<FrameSource> source;
+      SceneSource* scene = nullptr;
+      switch (source_kind(path)) {
+        case SourceKind::kPictures:
+          return bad_input(path,
+                           "is neither a scene (.json) nor a dataset (a folder with 0000.json)");
+        case SourceKind::kDataset: {
+          SHALE_TRY(source, open_dataset(path, from));
+          break;
+        }
+        case SourceKind::kScene: {
+          SHALE_TRY(std::unique_ptr<SceneSource> opened,
+                    open_scene(path, from, device, render, render, {}));
+          scene = opened.get();
+          source = std::move(opened);
+        }
+      }
+      NeedsMeter meter;
+      for (uint32_t i = 0; i < source->frame_count(); ++i) {
+        if (!progress.step(++seen, 0)) return bad_input("", "interrupted");
+        Result<SourceFrame> frame = source->frame(i, false);
+        if (!frame) return in_file(path, frame.error());
+        if (Result<void> added = meter.add(*frame); !added)
+          return in_file(fmt::format("{} frame {}", path, i), added.error());
+      }
+      SceneNeeds own = meter.needs();
+      if (scene) own = needs_of_scene(scene->scene(), arguments.first, source->frame_count(), own);
+      all = all ? united(*all, own) : own;
+    }
+  }
+  SHALE_TRY_VOID(device.close());
+  const std::string text = needs_text(*all);
+  SHALE_TRY_VOID(write_text(arguments.needs, text));
+  fmt::print("{}", text);
+  return kDone;
+}
+
 Result<int> run(const Arguments& arguments) {
+  if (arguments.needs.empty() == arguments.output.empty())
+    return bad_input("", "expected either -o, a dataset to write, or --needs");
+  if (!arguments.needs.empty()) return write_needs(arguments);
   SHALE_TRY(const Extent render, extent_of("--render", arguments.render));
   // Readers divide by the ratio and round down.
   const auto larger = [&](uint32_t side) {
@@ -195,7 +252,11 @@ Action add_scene(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   app.add_option("scene", arguments->scenes, "scene files (.json); each starts a new sequence")
       ->required();
-  app.add_option("-o,--output", arguments->output, "folder of the dataset to write")->required();
+  app.add_option("-o,--output", arguments->output, "folder of the dataset to write");
+  app.add_option(
+      "--needs", arguments->needs,
+      "write what the frames need of an upscaler (.json) instead, for shale compile --needs; "
+      "of datasets (folders), too");
   app.add_option("--render", arguments->render, "size of the rendered pictures (default 960x540)");
   auto* ratio = app.add_option("--ratio", arguments->ratio, "output size over render size")
                     ->check(number_in(1, 8));
@@ -229,6 +290,7 @@ Action add_scene(CLI::App& app) {
   app.footer(
       "Example: shale scene models/scenes/test/thin.json -o thin --render 960x540 --ratio 2 "
       "--frames 16 --png\n"
+      "Example: shale scene models/scenes/test/still.json --needs still_needs.json\n"
       "Example: shale scene models/scenes/train/*.json -o clips --random-crops 40 --crop-size 256");
   return [arguments] { return run(*arguments); };
 }

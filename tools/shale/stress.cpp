@@ -22,6 +22,8 @@ namespace {
 constexpr const char* kStressSchema = "shale-stress/1";
 constexpr const char* kDefaultRender = "96x54";
 constexpr uint32_t kWarmFrames = 8, kFaultFrames = 4;
+constexpr uint32_t kLookedAt =
+    8;  ///< of a course's frames, every so many are held against the bounds
 constexpr float kLargestHalf = 65504;
 /// Of what passes keep in halves, x / (1 + x) of exposed colours: some steps of 2^-11.
 constexpr double kOvershoot = 4.0 / 2048;
@@ -102,6 +104,84 @@ Held held() {
   return held;
 }
 
+/// One after the other what a verdict holds against; empty is that all holds.
+std::string joined(const std::vector<std::string>& parts) {
+  std::string text;
+  for (const std::string& part : parts) text += (text.empty() ? "" : "; ") + part;
+  return text;
+}
+
+/// The least and the largest value found of what the package bounds, by channel.
+class BoundsFound {
+ public:
+  Result<void> look(const Player& player) {
+    const Variant& variant = player.variant();
+    found_.resize(variant.bounds.size());
+    for (size_t b = 0; b < found_.size(); ++b) {
+      SHALE_TRY(const FloatImage image,
+                player.read(variant.resources[variant.bounds[b].resource].name, false));
+      std::vector<Range>& ranges = found_[b];
+      ranges.resize(variant.bounds[b].low.size());
+      for (size_t i = 0; i < image.values.size(); ++i) {
+        Range& range = ranges[i % image.channels % ranges.size()];
+        const double value = static_cast<double>(image.values[i]);
+        if (!std::isfinite(value)) {
+          ++range.not_finite;
+          continue;
+        }
+        range.low = std::min(range.low, value);
+        range.high = std::max(range.high, value);
+      }
+    }
+    return {};
+  }
+
+  /// Against the bounds, a row for each resource: how far apart they are in the channel where that is most, and in the one
+  /// where it is least.
+  Json rows(const Variant& variant) const {
+    Json rows = Json::array();
+    for (size_t b = 0; b < found_.size(); ++b) {
+      const ValueBounds& bounds = variant.bounds[b];
+      double most = 0, least = 1;
+      Range all;
+      Json low = Json::array(), high = Json::array();
+      std::vector<std::string> broken;
+      for (size_t c = 0; c < found_[b].size(); ++c) {
+        Range range = found_[b][c];
+        if (range.low > range.high) range.low = range.high = 0;  // nothing finite
+        const double lower = static_cast<double>(bounds.low[c]),
+                     upper = static_cast<double>(bounds.high[c]);
+        low.push_back(range.low);
+        high.push_back(range.high);
+        all.low = std::min(all.low, range.low);
+        all.high = std::max(all.high, range.high);
+        if (range.low < lower || range.high > upper || range.not_finite > 0)
+          broken.push_back(fmt::format("channel {}: {:.6g} to {:.6g}, proven {:.6g} to {:.6g}", c,
+                                       range.low, range.high, lower, upper));
+        const double share = upper > lower ? (range.high - range.low) / (upper - lower) : 1;
+        most = std::max(most, share);
+        least = std::min(least, share);
+      }
+      rows.push_back({{"of", variant.resources[bounds.resource].name},
+                      {"low", bounds.low},
+                      {"high", bounds.high},
+                      {"found_low", std::move(low)},
+                      {"found_high", std::move(high)},
+                      {"proven_least", std::ranges::min(bounds.low)},
+                      {"proven_most", std::ranges::max(bounds.high)},
+                      {"least_found", all.low},
+                      {"most_found", all.high},
+                      {"share_most", most},
+                      {"share_least", least},
+                      {"verdict", broken.empty() ? "holds" : joined(broken)}});
+    }
+    return rows;
+  }
+
+ private:
+  std::vector<std::vector<Range>> found_;  ///< by bound, then by its channel
+};
+
 /// A sandwich that plays linear frames, or displayed ones, always from a start without a past.
 class Subject {
  public:
@@ -133,6 +213,9 @@ class Subject {
 
   /// The linear picture, or the displayed one of a sandwich of such.
   Result<FloatImage> play(const SourceFrame& frame) { return player_->play(frame); }
+  /// Remembers what the package bounds, as the last frame left it.
+  Result<void> look() { return found_.look(*player_); }
+  Json bounds() const { return found_.rows(player_->variant()); }
   /// What a display shows of it.
   FloatImage shown(const FloatImage& picture, float exposure) const {
     return display() ? picture : display_image(picture, exposure);
@@ -174,14 +257,8 @@ class Subject {
   std::unique_ptr<Player> player_;
   std::vector<Graph> graphs_;
   SamplingPattern pattern_;
+  BoundsFound found_;
 };
-
-/// One after the other what a verdict holds against; empty is that all holds.
-std::string joined(const std::vector<std::string>& parts) {
-  std::string text;
-  for (const std::string& part : parts) text += (text.empty() ? "" : "; ") + part;
-  return text;
-}
 
 /// A fault in kFaultFrames frames between clean ones, against the same frames without it. It has passed when no more
 /// of it is left than of a cut.
@@ -229,6 +306,7 @@ class FaultRun {
       for (const float value : frame.color.values)
         if (!std::isnan(value)) seen = std::max<double>(seen, std::min(value, kLargestHalf));
       SHALE_TRY(const FloatImage picture, subject_.play(frame));
+      if (i >= kWarmFrames) SHALE_TRY_VOID(subject_.look());
       Range range;
       range.add(picture);
       output.add(picture);
@@ -343,6 +421,7 @@ Result<Json> run_course(const Arguments& arguments, Subject& subject, Course cou
       if (!progress.step(size_t{k} * cycle + i, size_t{cycles} * cycle))
         return bad_input("", "interrupted");
       SHALE_TRY(const FloatImage picture, subject.play(inputs[i]));
+      if (i % kLookedAt == 0) SHALE_TRY_VOID(subject.look());
       output.add(picture);
       FloatImage shown = subject.shown(picture, inputs[i].camera.exposure);
       if (course == Course::kStill && k == cycles - 1) {
@@ -511,6 +590,18 @@ void print(const Json& json) {
         fmt::print("at rest a value swings by {:.2f} codes within a cycle, in the mean\n",
                    row["swing_codes"].get<double>());
   }
+  if (!json["bounds"].empty())
+    fmt::print("\n{:<12} {:>26} {:>26} {:>15}  {}\n", "of", "proven, for every input", "found",
+               "found of proven", "verdict");
+  for (const Json& row : json["bounds"]) {
+    const auto ends = [&](const char* low, const char* high) {
+      return fmt::format("{:.6g} to {:.6g}", row[low].get<double>(), row[high].get<double>());
+    };
+    fmt::print("{:<12} {:>26} {:>26} {:>6.1f} to {:>3.0f} %  {}\n", row["of"].get<std::string>(),
+               ends("proven_least", "proven_most"), ends("least_found", "most_found"),
+               100 * row["share_least"].get<double>(), 100 * row["share_most"].get<double>(),
+               one_line(row["verdict"].get<std::string>()));
+  }
   if (!json["precisions"].empty()) fmt::print("\nagainst fp32, what is shown:\n");
   for (const Json& row : json["precisions"])
     fmt::print("{:<6} {:>7.2f} dB, at most {:.0f} codes, in frame {} at ({}, {})\n",
@@ -546,6 +637,7 @@ Result<int> stress(const Arguments& arguments) {
                    {"drift_codes", kDriftCodes}}},
                  {"faults", Json::array()},
                  {"courses", Json::array()},
+                 {"bounds", Json::array()},
                  {"precisions", Json::array()}});
     std::vector<const Fault*> chosen;
     for (const Fault& fault : faults())
@@ -569,6 +661,7 @@ Result<int> stress(const Arguments& arguments) {
       SHALE_TRY(Json row, run_course(arguments, subject, course, progress));
       json["courses"].push_back(std::move(row));
     }
+    json["bounds"] = subject.bounds();
     if (arguments.precisions || arguments.search > 0) {
       SHALE_TRY(Subject fp32, Subject::create(arguments, device, "fp32", output));
       std::vector<SourceFrame> frames;
@@ -588,7 +681,7 @@ Result<int> stress(const Arguments& arguments) {
   }
   SHALE_TRY_VOID(device.close());
   size_t hold = 0, verdicts = 0;
-  for (const char* part : {"faults", "courses"})
+  for (const char* part : {"faults", "courses", "bounds"})
     for (const Json& row : json[part]) {
       ++verdicts;
       hold += row["verdict"] == "holds";

@@ -43,6 +43,10 @@ class Converter {
     if (variant_.programs.size() > 1)
       return unsupported("", "has {} programs, VGF has one sequence of segments only",
                          variant_.programs.size());
+    if (variant_.promise)
+      return unsupported("",
+                         "has passes that the device chooses between, which VGF does not have; "
+                         "compile without needs");
     for (const Param& param : variant_.params)
       if (param.source != ParamSource::kHost)
         return unsupported(fmt::format("parameter \"{}\"", param.name),

@@ -5,8 +5,12 @@
 // (Keys, a = -1/2) and clamped in YCoCg to the 3x3 render texels; the current colour is bilinear where the samples lie;
 // its share is 0.25 - 0.4 q^2, q the distance to the closest sample in render texels. Without history that is on the
 // screen and within 0.01 of the depth, the current colour alone.
+// STILL 1: nothing moves, and the history lies under the pixel; the promise of frame.json.
 // Source: Mob-FGSR (SIGGRAPH 2024), seed_networks.md sections 4.3 and 4.4.
 #version 450
+#ifndef STILL
+#define STILL 0
+#endif
 #include "access.glsl"
 #include "color.glsl"
 
@@ -23,7 +27,7 @@ vec3 texel(ivec2 at) {
 }
 
 vec3 history_at(vec2 uv) {
-  const Bilinear b = bilinear_at(uv, kOutput);
+  const Bilinear b = settled_at(uv, kOutput);
   const vec4 wx = catmull_rom(b.part.x), wy = catmull_rom(b.part.y);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int y = 0; y < 4; ++y)
@@ -35,7 +39,7 @@ vec3 history_at(vec2 uv) {
 void main() {
   const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
   if (at.x >= kOutput.x || at.y >= kOutput.y) return;
-  const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
+  precise const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
   const vec2 scene = uv * vec2(kRender) - params.jitter;  // in texels
   const vec2 base = floor(scene - 0.5);
   const vec2 part = scene - 0.5 - base;
@@ -43,11 +47,16 @@ void main() {
   [[unroll]] for (int i = 0; i < 4; ++i) now += bilinear_weight(part, i) * texel(ivec2(base) + ivec2(i & 1, i >> 1));
 
   const ivec2 render = (2 * at + 1) * kRender / (2 * kOutput);
-  const vec2 before = uv - xy_of(fetch_dilated_motion(render));
+#if STILL
+  const vec2 before = uv;
+#else
+  precise const vec2 before = uv - xy_of(fetch_dilated_motion(render));
+#endif
   vec3 result = now;
   if (params.reset == 0 && all(greaterThanEqual(before, vec2(0.0))) && all(lessThan(before, vec2(1.0)))) {
     const float z = fetch_dilated_depth(render);
-    const float z_before = fetch_previous_depth(inside(ivec2(before * vec2(kRender)), kRender));
+    precise const vec2 place = before * vec2(kRender);  // in both forms alike
+    const float z_before = fetch_previous_depth(inside(ivec2(place), kRender));
     if (abs(z - z_before) < kDepthThreshold) {
       const ivec2 centre = inside(ivec2(floor(scene)), kRender);
       vec3 low = ycocg(texel(centre)), high = low;
@@ -56,7 +65,12 @@ void main() {
         low = min(low, c);
         high = max(high, c);
       }
-      const vec3 past = max(ycocg_inverse(clamp(ycocg(history_at(before)), low, high)), 0.0);
+#if STILL
+      const vec3 history = rgb_of(fetch_history(at));
+#else
+      const vec3 history = history_at(before);
+#endif
+      const vec3 past = max(ycocg_inverse(clamp(ycocg(history), low, high)), 0.0);
       const vec2 q = scene - (vec2(centre) + 0.5);
       result = mix(past, now, max(0.25 - 0.4 * dot(q, q), 0.0));
     }

@@ -1,8 +1,12 @@
 // shaders/frame/baseline/mob_fgsr_dilate.comp -- pass 0 of Mob-FGSR: the closest depth of 3x3 and its motion.
 //
+// STILL 1: nothing moves, and nobody asks for motion; the promise of frame.json.
 // One invocation per render texel; the centre wins a tie. dilated_depth is r32_float, dilated_motion rg16_float in uv.
 // Source: Mob-FGSR (SIGGRAPH 2024), seed_networks.md section 4.1.
 #version 450
+#ifndef STILL
+#define STILL 0
+#endif
 #include "access.glsl"
 #include "color.glsl"
 
@@ -32,7 +36,9 @@ void main() {
       from = clamp(neighbour, ivec2(0), kRender - 1);
     }
   }
-  const vec2 m = xy_of(fetch_motion(from)) * params.motion_scale;
   store_dilated_depth(at, closest);
+#if !STILL
+  const vec2 m = xy_of(fetch_motion(from)) * params.motion_scale;
   store_dilated_motion(at, half2(vec2(finite_in(m.x, -1.0, 1.0, 0.0), finite_in(m.y, -1.0, 1.0, 0.0))));
+#endif
 }

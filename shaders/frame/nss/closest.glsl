@@ -13,8 +13,9 @@ struct Closest {
   ivec2 at;  // render texel
 };
 
-/// Depths from texel at.x - 1 on, at.x even: they lie in two fetches, from the second or from the fourth of the first on.
-void depth_row(ivec2 at, out float row[kReach]) {
+/// Depths from texel at.x - 1 on, at.x even: they lie in two fetches, from the second or from the fourth of the first on; and
+/// that of texel at.x - 2.
+void depth_row(ivec2 at, out float row[kReach], out float left) {
   const int first = (at.x - 1) >> 2;
   float a[4], b[4];
   fetch4_depth(ivec2(max(first, 0), at.y), a);
@@ -22,6 +23,7 @@ void depth_row(ivec2 at, out float row[kReach]) {
   const bool late = (at.x & 2) == 0;
   const float depths[kReach] = float[kReach](late ? a[3] : a[1], late ? b[0] : a[2], late ? b[1] : a[3],
                                              late ? b[2] : b[0], late ? b[3] : b[1]);
+  left = finite_depth(late ? a[2] : a[0]);
   // Beyond the border the last texel counts again.
   row[1] = finite_depth(depths[1]);
   row[0] = at.x == 0 ? row[1] : finite_depth(depths[0]);
@@ -29,16 +31,36 @@ void depth_row(ivec2 at, out float row[kReach]) {
     row[x] = at.x + x - 1 < COLOR_WIDTH ? finite_depth(depths[x]) : row[x - 1];
 }
 
+void depth_row(ivec2 at, out float row[kReach]) {
+  float left;
+  depth_row(at, row, left);
+}
+
+#if STILL
+/// Also the closest depth of 3x3 blocks of 2x2 texels around the tile, as scatter.comp leaves it of what stands still; [y][x].
+/// Blocks beyond the border are anything.
+void closest_in_tile(ivec2 base, out Closest closest[2][2], out uint blocks[3][3]) {
+#else
 /// base: upper left texel of the tile; [y][x].
 void closest_in_tile(ivec2 base, out Closest closest[2][2]) {
+#endif
   // Away from the camera, whichever way depth runs.
   const float away = params.reverse_depth != 0 ? -1.0 : 1.0;
   float row_best[kReach][2], middle[2][2];
   int row_x[kReach][2];
+#if STILL
+  float pairs[6][3];  // the closest of two side by side
+  [[unroll]] for (int y = -1; y < kReach; ++y) {
+#else
   [[unroll]] for (int y = 0; y < kReach; ++y) {
-    float row[kReach];
-    depth_row(ivec2(base.x, clamp(base.y + y - 1, 0, COLOR_HEIGHT - 1)), row);
+#endif
+    float row[kReach], left;
+    depth_row(ivec2(base.x, clamp(base.y + y - 1, 0, COLOR_HEIGHT - 1)), row, left);
     [[unroll]] for (int x = 0; x < kReach; ++x) row[x] *= away;
+#if STILL
+    pairs[y + 1] = float[3](min(away * left, row[0]), min(row[1], row[2]), min(row[3], row[4]));
+    if (y < 0) continue;
+#endif
     [[unroll]] for (int lane = 0; lane < 2; ++lane) {
       row_best[y][lane] = row[lane];
       row_x[y][lane] = lane;
@@ -50,6 +72,11 @@ void closest_in_tile(ivec2 base, out Closest closest[2][2]) {
       if (y == 1 || y == 2) middle[y - 1][lane] = row[lane + 1];
     }
   }
+#if STILL
+  [[unroll]] for (int y = 0; y < 3; ++y)
+    [[unroll]] for (int x = 0; x < 3; ++x)
+      blocks[y][x] = scatter_code(uint(away * min(pairs[2 * y][x], pairs[2 * y + 1][x]) * 2147483647.0));
+#endif
   [[unroll]] for (int line = 0; line < 2; ++line) {
     [[unroll]] for (int lane = 0; lane < 2; ++lane) {
       float best = row_best[line][lane];

@@ -2,7 +2,11 @@
 //
 // Conventions, settled here once: the sample in texel l of a frame lies at scene position l + 0.5 + jitter (render
 // pixels, y down); motion is in uv, and what is seen at uv was at uv - motion in the frame before.
+// STILL 1: no motion is longer than what counts as none (frame.json's promise); results equal those of STILL 0 bit for bit.
 // Source: nss.md sections 2.1 and 2.2.
+#ifndef STILL
+#define STILL 0
+#endif
 #include "access.glsl"
 #include "color.glsl"
 
@@ -10,6 +14,8 @@ const ivec2 kRender = ivec2(COLOR_WIDTH, COLOR_HEIGHT);
 const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
 
 SHALE_PARAMS;
+
+#define IS_DOUBLE (OUTPUT_WIDTH == 2 * COLOR_WIDTH && OUTPUT_HEIGHT == 2 * COLOR_HEIGHT)
 
 /// Exposed and in the Karis domain. One factor does both; beyond kMaxColor, where exposed() stops, the result differs from
 /// karis(exposed(c)) by less than 2e-5.

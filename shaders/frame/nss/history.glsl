@@ -77,17 +77,21 @@ void past_quad_linear(Bilinear b, HALF4 raw[3][3], out vec3 past[2][2]) {
     [[unroll]] for (int x = 0; x < 2; ++x) past[y][x] = mix(along[y][x], along[y + 1][x], b.part.y);
 }
 
-/// The history at uv alone.
-vec3 past_linear(vec2 uv) {
-  const Bilinear b = bilinear_at(uv, kOutput);
+/// What the filters give at the middle of a texel: Catmull-Rom is in 0..1.
+vec3 past_still(HALF4 texel) { return karis_of(rgb_of(texel)); }
+vec3 past_still_catmull_rom(HALF4 texel) { return least(most(past_still(texel), vec3(0.0)), vec3(1.0)); }
+
+/// The history at uv alone; rests: nothing moves there.
+vec3 past_linear(vec2 uv, bool rests) {
+  const Bilinear b = bilinear_at(uv, kOutput, rests);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i)
     sum += bilinear_weight(b.part, i) * past_texel(b.base + ivec2(i & 1, i >> 1));
   return sum;
 }
 
-vec3 past_catmull_rom(vec2 uv) {
-  const Bilinear b = bilinear_at(uv, kOutput);
+vec3 past_catmull_rom(vec2 uv, bool rests) {
+  const Bilinear b = bilinear_at(uv, kOutput, rests);
   const CatmullRom w = catmull_rom(b.part);
   #define SHALE_AT(x, y) past_texel(b.base + ivec2(x, y))
   const vec3 c =

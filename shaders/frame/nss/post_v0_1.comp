@@ -154,7 +154,7 @@ void pixel_at(ivec2 at) {
   }
   const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
   const vec2 before = uv - long_motion(xy_of(fetch_moving(texel)), kOutput, 0.1);
-  show(at, shown_color(sum, parameters.xyz, past_catmull_rom(before), before));
+  show(at, shown_color(sum, parameters.xyz, past_catmull_rom(before, false), before));
 }
 
 void main() {

@@ -6,7 +6,7 @@
 // ones: a display shows means of it.
 // KERNEL 6 and TAPS 9 (HIGH) or 4 and 4 (MID, LOW); KPN_SHIFT: render texel >> shift is the texel of the kernel tensor;
 // CATMULL_ROM 1 or 0 chooses the filter of the history; WEIGHT_FLOOR is the least weight.
-// `dilated` comes from pre_v1.comp. What is shown goes into the history, with the exposure removed; the output shows that.
+// STILL: the history lies under the pixel. `dilated` comes from pre_v1.comp. What is shown goes into the history, with the exposure removed; the output shows that.
 // Source: nss.md sections 3.1, 3.2, 3.4; tools/train/nss_passes.py computes the same.
 #version 450
 #include "common.glsl"
@@ -99,10 +99,12 @@ vec3 parameter_texel(ivec2 at) {
 #define PAST_SIDE 5
 #define FETCH_PAST fetch_quad_catmull_rom
 #define FILTER_PAST past_quad_catmull_rom
+#define PAST_STILL past_still_catmull_rom
 #else
 #define PAST_SIDE 3
 #define FETCH_PAST fetch_quad_linear
 #define FILTER_PAST past_quad_linear
+#define PAST_STILL past_still
 #endif
 const int kColumnWords = (KERNEL % 4 + KERNEL + 3) / 4;  // that hold a column of a kernel
 
@@ -141,16 +143,27 @@ void main() {
   const ivec2 m = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
   // What lies anywhere is fetched first.
+  vec2 before[2];
+#if STILL
+  HALF4 past_words[2][2][2];
+#else
   HALF2 moving[2];
   fetch2_dilated(ivec2(m.x >> 1, m.y), moving);
-  vec2 before[2];
   Bilinear place[2];
   HALF4 past_words[2][PAST_SIDE][PAST_SIDE];
+#endif
   [[unroll]] for (int q = 0; q < 2; ++q) {
     const vec2 uv = (2.0 * vec2(m + ivec2(q, 0)) + 0.5) / vec2(kOutput);
-    before[q] = uv - long_motion(xy_of(moving[q]), kOutput, 0.1);
-    place[q] = bilinear_at(before[q], kOutput);
+#if STILL
+    before[q] = uv;
+    [[unroll]] for (int y = 0; y < 2; ++y)
+      fetch2_history(ivec2(min(m.x + q, COLOR_WIDTH - 1), 2 * m.y + y), past_words[q][y]);
+#else
+    const vec2 moved = long_motion(xy_of(moving[q]), kOutput, 0.1);
+    before[q] = uv - moved;
+    place[q] = bilinear_at(before[q], kOutput, moved == vec2(0.0));
     FETCH_PAST(place[q], past_words[q]);
+#endif
   }
   const Quad quad = quad_at(m);
   vec3 samples[kTaps + 1][kTaps + 2];
@@ -170,7 +183,12 @@ void main() {
       cell_words(ivec2(cell_x[x * (kTaps + 1)], cell_y[y * kTaps]), cells[y][x]);
   [[unroll]] for (int q = 0; q < 2; ++q) {
     vec3 past[2][2];
+#if STILL
+    [[unroll]] for (int y = 0; y < 2; ++y)
+      [[unroll]] for (int x = 0; x < 2; ++x) past[y][x] = PAST_STILL(past_words[q][y][x]);
+#else
     FILTER_PAST(place[q], past_words[q], past);
+#endif
     [[unroll]] for (int ox = 0; ox < 2; ++ox) {
       uint words[kTaps][2][kColumnWords];
       [[unroll]] for (int x = 0; x < kTaps; ++x) {
@@ -264,12 +282,21 @@ void pixel_at(ivec2 at) {
     sum.second = sum.first * sum.first;
     sum.weight = 1.0;
   }
-  const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
-  const vec2 before = uv - long_motion(xy_of(fetch_dilated(texel)), kOutput, 0.1);
+#if STILL
+  const vec2 before = uv;
 #if CATMULL_ROM
-  const vec3 past = past_catmull_rom(before);
+  const vec3 past = past_still_catmull_rom(fetch_history(at));
 #else
-  const vec3 past = past_linear(before);
+  const vec3 past = past_still(fetch_history(at));
+#endif
+#else
+  const ivec2 texel = (2 * at + 1) * kRender / (2 * kOutput);
+  const vec2 moved = long_motion(xy_of(fetch_dilated(texel)), kOutput, 0.1), before = uv - moved;
+#if CATMULL_ROM
+  const vec3 past = past_catmull_rom(before, moved == vec2(0.0));
+#else
+  const vec3 past = past_linear(before, moved == vec2(0.0));
+#endif
 #endif
   show(at, shown_color(sum, parameters_at(uv), past, before));
 }

@@ -8,6 +8,8 @@
 // An invocation takes 2x2 render texels, whose neighbourhoods overlap.
 // SIDE 1 (HIGH): a network texel is a render texel; an invocation makes 2x2.
 // SIDE 2 (MID, LOW): it is 2x2 of them, each reprojected for itself; disocclusion comes from disocclusion.comp.
+// STILL: histories lie under the texel, and there is no `dilated`. What scatter.comp would leave are the blocks' own closest
+// depths, which SIDE 1 finds itself; with SIDE 2 they are what they are held against, so that nothing is disoccluded.
 // Source: nss.md sections 1.1, 2.4 d; tools/train/nss_passes.py computes the same.
 #version 450
 #include "common.glsl"
@@ -15,7 +17,9 @@
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 #include "warped.glsl"
+#if SIDE == 1 || !STILL
 #include "closest.glsl"
+#endif
 #if SIDE == 1
 #include "scattered.glsl"
 #endif
@@ -49,9 +53,21 @@ struct Kept {
   SNORM4 state[4];
 };
 
+#if STILL
+/// What the filters give at the middle of a texel.
+void fetch_kept(ivec2 at, out Kept kept) {
+  kept.at = Bilinear(at, vec2(0.0));
+  kept.feedback[0] = codes_temporal(at.y * kPadded.x + at.x);
+  kept.state[0] = fetch_state(at);
+  [[unroll]] for (int i = 1; i < 4; ++i) {
+    kept.feedback[i] = kept.feedback[0];
+    kept.state[i] = kept.state[0];
+  }
+}
+#endif
 /// before: uv of the frame before, in the network's picture without padding.
 void fetch_kept(vec2 before, out Kept kept) {
-  kept.at = bilinear_at(before * vec2(kNetwork) / vec2(kPadded), kPadded);
+  kept.at = settled_at(before * vec2(kNetwork) / vec2(kPadded), kPadded);
   [[unroll]] for (int i = 0; i < 4; ++i) {
     const ivec2 at = bilinear_texel(kept.at, i, kPadded);
     kept.feedback[i] = codes_temporal(at.y * kPadded.x + at.x);
@@ -82,6 +98,24 @@ Texel network_texel(vec3 past, vec2 moved, Kept kept, bool hidden, vec3 now, vec
   return texel;
 }
 
+#if STILL
+/// The history around render texel `at`, which no motion leads elsewhere.
+SAMPLED_HALF4 still_history(ivec2 at) {
+#if SHALE_LINEAR && IS_DOUBLE
+  SAMPLED_HALF4 s;
+  s.part = vec2(0.5);
+  [[unroll]] for (int y = 0; y < 2; ++y) {
+    HALF4 two[2];
+    fetch2_history(inside(ivec2(at.x, 2 * at.y + y), ivec2(COLOR_WIDTH, OUTPUT_HEIGHT)), two);
+    s.texels[2 * y] = two[0];
+    s.texels[2 * y + 1] = two[1];
+  }
+  return s;
+#else
+  return sample_history((vec2(at) + 0.5) / vec2(kRender));
+#endif
+}
+#else
 /// raw: as the host gave it.
 vec2 texel_motion(ivec2 at, out HALF2 raw) {
   raw = fetch_motion(at);
@@ -92,6 +126,7 @@ void keep_motion(ivec2 first, HALF2 raw[2][2]) {
   [[unroll]] for (int y = 0; y < 2; ++y)
     if (first.y + y < COLOR_HEIGHT) store2_dilated(first + ivec2(0, y), raw[y][0], raw[y][1]);
 }
+#endif
 
 #if SIDE == 1
 void main() {
@@ -111,22 +146,39 @@ void main() {
     [[unroll]] for (int x = 0; x < 5; ++x)
       if ((x != 0 && x != 4) || (y != 0 && y != 4)) words[y][x] = color_texel(base + shift + ivec2(x, y) - 1);
   Closest closest[2][2];
-  closest_in_tile(base, closest);
-  HALF2 raw[2][2];
   vec2 moved[2][2];
   SAMPLED_HALF4 past[2][2];
   Bilinear scattered_at[2][2];
   uint codes[2][2][4];
   Kept kept[2][2];
+#if STILL
+  uint blocks[3][3];
+  closest_in_tile(base, closest, blocks);
+#else
+  HALF2 raw[2][2];
+  closest_in_tile(base, closest);
+#endif
   [[unroll]] for (int y = 0; y < 2; ++y)
-    [[unroll]] for (int x = 0; x < 2; ++x) moved[y][x] = texel_motion(closest[y][x].at, raw[y][x]);
+    [[unroll]] for (int x = 0; x < 2; ++x)
+#if STILL
+      moved[y][x] = vec2(0.0);
+#else
+      moved[y][x] = texel_motion(closest[y][x].at, raw[y][x]);
+#endif
   [[unroll]] for (int y = 0; y < 2; ++y) {
     [[unroll]] for (int x = 0; x < 2; ++x) {
-      const vec2 before = (vec2(base + ivec2(x, y)) + 0.5) / vec2(kRender) - moved[y][x];
+      const ivec2 at = base + ivec2(x, y);
+      const vec2 before = (vec2(at) + 0.5) / vec2(kRender) - moved[y][x];
+      scattered_at[y][x] = settled_at(before, kScattered);
+#if STILL
+      past[y][x] = still_history(at);
+      block_codes(blocks, scattered_at[y][x].base - (base / 2 - 1), codes[y][x]);
+      fetch_kept(at, kept[y][x]);
+#else
       past[y][x] = sample_history(before);
-      scattered_at[y][x] = bilinear_at(before, kScattered);
       fetch_scattered(scattered_at[y][x], codes[y][x]);
       fetch_kept(before, kept[y][x]);
+#endif
     }
   }
 
@@ -162,7 +214,9 @@ void main() {
                                    now[y + 1][x + 1], own, around);
     }
   }
+#if !STILL
   if (all(equal(first, base))) keep_motion(first, raw);
+#endif
 #if COLOR_WIDTH % 2 == 1
   if (from.x == to.x) texels[0][1] = texels[0][0], texels[1][1] = texels[1][0];
 #endif
@@ -200,6 +254,12 @@ void main() {
   const ivec2 at = mirrored(padded, kNetwork);
   const vec2 uv = (vec2(at) + 0.5) / vec2(kNetwork);
 
+  vec3 past = vec3(0.0);
+  vec2 moved = vec2(0.0);  // of the closest lane
+#if STILL
+  [[unroll]] for (int y = 0; y < 2; ++y)
+    [[unroll]] for (int x = 0; x < 2; ++x) past += 0.25 * warped(still_history(inside(2 * at + ivec2(x, y), kRender)));
+#else
   Closest closest[2][2];
   closest_in_tile(2 * at, closest);
   // At an odd border the tile's second column or row is its first.
@@ -210,8 +270,6 @@ void main() {
   if (2 * at.y + 1 == kRender.y) closest[1] = closest[0];
 #endif
   const float away = params.reverse_depth != 0 ? -1.0 : 1.0;
-  vec3 past = vec3(0.0);
-  vec2 moved = vec2(0.0);  // of the closest lane
   float nearest = 0.0;
   HALF2 raw[2][2];
   [[unroll]] for (int y = 0; y < 2; ++y) {
@@ -225,14 +283,21 @@ void main() {
     }
   }
   if (all(lessThan(padded, kNetwork))) keep_motion(2 * at, raw);
+#endif
   const vec3 now = current(at), work = work_color(now);
   const vec4 around = vec4(color_distance(work, work_color(current(at + ivec2(0, -1)))),
                            color_distance(work, work_color(current(at + ivec2(0, 1)))),
                            color_distance(work, work_color(current(at + ivec2(1, 0)))),
                            color_distance(work, work_color(current(at + ivec2(-1, 0)))));
   Kept kept;
+#if STILL
+  fetch_kept(at, kept);
+  const bool hidden = false;
+#else
   fetch_kept(uv - moved, kept);
-  const Texel texel = network_texel(past, moved, kept, sample_disocclusion(uv) > 0.01, now, work, around);
+  const bool hidden = sample_disocclusion(uv) > 0.01;
+#endif
+  const Texel texel = network_texel(past, moved, kept, hidden, now, work, around);
   const int word = (padded.y * kPadded.x + padded.x) * 3;
   [[unroll]] for (int i = 0; i < 3; ++i) store_word_input(word + i, texel.words[i]);
   store_state(padded, texel.state);

@@ -4,8 +4,6 @@
 // its samples in the even cells of its kernel, the other in the odd ones; called so, each has samples in fixed cells:
 // the k-th in cell 2 * k + odd. With t = shift + KERNEL / 2 - 1 - odd, it is pixel t & 1, and its first sample is that
 // of render texel m - (t >> 1). Expects the image `color` and `sample_of`, a sample of its texel.
-#define IS_DOUBLE (OUTPUT_WIDTH == 2 * COLOR_WIDTH && OUTPUT_HEIGHT == 2 * COLOR_HEIGHT)
-
 const int kTaps = KERNEL / 2;  // per axis
 
 struct Quad {

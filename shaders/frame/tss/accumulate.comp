@@ -82,7 +82,11 @@ void main() {
   const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
   const vec2 scene = uv * vec2(kRender) - params.jitter;  // in texels
   const ivec2 centre = inside(ivec2(floor(scene)), kRender);
+#if STILL
+  const vec2 motion = vec2(0.0), before = uv;
+#else
   const vec2 motion = xy_of(fetch_dilated_motion(centre)), before = uv - motion;
+#endif
   const vec4 mask = unpackUnorm4x8(fetch_mask(centre));
   const Samples s = samples_at(scene);
 
@@ -109,7 +113,11 @@ void main() {
     lumas = vec4(luma, seen.xyz);
     lock = good * state.y;
 
-    const vec3 p = ycocg(past_catmull_rom(before));
+#if STILL
+    const vec3 p = ycocg(past_still_catmull_rom(fetch_history(at)));
+#else
+    const vec3 p = ycocg(past_catmull_rom(before, motion == vec2(0.0)));
+#endif
     const vec3 side = mix(kDeviationsMoving, kDeviations, still) * mix(1.0, kDeviationsChanged, change) * s.deviation;
     const vec3 inner = clamp(p, max(s.mean - side, s.low), min(s.mean + side, s.high));
     const float belief = good * max(max(lock, flicker) * mix(kLockedMoving, kLocked, still), mix(kBeliefMoving, kBelief, still));

@@ -2,6 +2,7 @@
 //
 // One invocation per render texel. prepared (rgba16_float): exposed, in the Karis domain. mask (r32_uint): four bytes,
 // unorm: disocclusion, thin feature, 0, 0.
+// STILL: what is seen was seen a frame ago, at the same depth but for rounding, so that nothing is disoccluded.
 // A texel is a thin feature if it is brighter or darker than all neighbours that differ from it, and none of the four 2x2
 // squares that hold it is alike throughout.
 // Source: the public description of FidelityFX Super Resolution 2, "depth clip" and "create locks".
@@ -31,9 +32,12 @@ float thin_feature(ivec2 at, float centre) {
   return ridge && !area ? 1.0 : 0.0;
 }
 
+#if STILL
+float disocclusion_at(ivec2 at) { return 0.0; }
+#else
 /// 1 where what is seen was hidden a frame ago.
 float disoccluded(vec2 uv, float depth) {
-  const Bilinear b = bilinear_at(uv, kRender);
+  const Bilinear b = settled_at(uv, kRender);
   const float z = view_z(depth);
   vec2 sum = vec2(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i) {
@@ -44,12 +48,16 @@ float disoccluded(vec2 uv, float depth) {
   }
   return depth_clip(sum);
 }
+float disocclusion_at(ivec2 at) {
+  const vec2 uv = (vec2(at) + 0.5) / vec2(kRender);
+  return disoccluded(uv - xy_of(fetch_dilated_motion(at)), fetch_dilated_depth(at));
+}
+#endif
 
 void main() {
   const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
   if (at.x >= kRender.x || at.y >= kRender.y) return;
   const vec3 color = texel(at);
   store_prepared(at, half4(color));
-  const vec2 uv = (vec2(at) + 0.5) / vec2(kRender), past = uv - xy_of(fetch_dilated_motion(at));
-  store_mask(at, packUnorm4x8(vec4(disoccluded(past, fetch_dilated_depth(at)), thin_feature(at, ycocg(color).x), 0.0, 0.0)));
+  store_mask(at, packUnorm4x8(vec4(disocclusion_at(at), thin_feature(at, ycocg(color).x), 0.0, 0.0)));
 }

@@ -42,6 +42,16 @@
     ], data.courses.map((_, i) => `/courses/${i}`));
     lines(group(), "difference from the second cycle, mean", data.courses, "course", "cycle");
   }
+  if (data.bounds.length) {
+    element("h2", "Bounds");
+    dim("What the contracts of the passes and the weights prove for every input, and what all frames above showed: the ends over the channels, and how much of the proven range was found, in the channel where that is least and where it is most.");
+    table([
+      { title: "of", at: "/of" }, { title: "proven", unit: "least", at: "/proven_least", digits: 3 }, { title: "proven", unit: "most", at: "/proven_most", digits: 3 },
+      { title: "found", unit: "least", at: "/least_found", digits: 3 }, { title: "found", unit: "most", at: "/most_found", digits: 3 },
+      { title: "of the proven range", unit: "%, least", at: "/share_least", scale: 100, digits: 1 }, { title: "of the proven range", unit: "%, most", at: "/share_most", scale: 100, digits: 1 },
+      { title: "verdict", at: "/verdict" },
+    ], data.bounds.map((_, i) => `/bounds/${i}`));
+  }
   const precision = [{ title: "precision", at: "/precision" }, { title: "against fp32", unit: "dB", at: "/psnr_db", digits: 2 }, { title: "largest", unit: "codes", at: "/largest_codes", digits: 0 },
     { title: "frame", at: "/frame", digits: 0 }, { title: "x", at: "/x", digits: 0 }, { title: "y", at: "/y", digits: 0 }];
   if (data.precisions.length) {
