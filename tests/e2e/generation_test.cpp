@@ -21,7 +21,8 @@ constexpr uint64_t kSeed = 5;
 const char* const kBetween[] = {
     "mob_fgsr_interpolation", "mob_fgsr_sr_interpolation", "motion_and_flow",
     "generation/linear",      "generation/unrefined",      "generation/unfilled",
-    "generation/backward",    "generation/blend",          "generation/repeat"};
+    "generation/backward",    "generation/blend",          "generation/repeat",
+    "generation/nfru_by_hand", "../nfru"};
 const char* const kAhead[] = {"mob_fgsr_extrapolation",    "mob_fgsr_sr_extrapolation",
                               "generation/linear_ahead",   "generation/unrefined_ahead",
                               "generation/backward_ahead", "generation/repeat_ahead"};
@@ -40,14 +41,16 @@ class GenerationTest : public ToolDeviceTest<testing::Test> {
   static std::unique_ptr<Player> player_of(const std::string& name, Extent size,
                                            const Edit& edit = {}) {
     const std::string folder = source_folder() + "/models/baselines/" + name;
+    const ModelFiles model = must(load_model(folder, "", "int8"));
     CompileOptions options;
-    options.frame = must(parse_frame(must(read_text(folder + "/frame.json"))));
+    options.frame = model.frame;
+    options.kernels = {"generic"};
     options.load_shader = [folder, edit](const std::string& path) -> Result<std::string> {
       SHALE_TRY(std::string text, read_text(folder + "/" + path));
       return edit ? edit(path, std::move(text)) : text;
     };
     options.sizes = {FrameExtent{size.width, size.height}, FrameExtent{size.width, size.height}};
-    const Compiled compiled = must(compile_graph(Graph{}, 0, options));
+    const Compiled compiled = must(compile_model(model, options));
     return must(Player::create(*device_, compiled.package));
   }
 
@@ -273,8 +276,8 @@ TEST_F(GenerationTest, TheOrderOfInvocationsDoesNotMatter) {
       const FloatImage expected = half(*forwards);
       for (Player* player : {backwards.get(), scattered.get()}) {
         EXPECT_EQ(half(*player).values, expected.values) << name;
-        EXPECT_EQ(must(player->read("splat", false)).values,
-                  must(forwards->read("splat", false)).values)
+        EXPECT_EQ(must(player->read_words("splat")).bytes,
+                  must(forwards->read_words("splat")).bytes)
             << name;
       }
     }
