@@ -246,6 +246,34 @@ TEST_F(GenerationTest, WhatWasCoveredComesFromTheFrameThatSawIt) {
     }
 }
 
+/// A picture that moves 8 pixels a frame over another one that stands still, without motion vectors. Time 0 has it at x = 16.
+Pixel unmoved(int x, int y, double t) {
+  const double left = 16 + 8 * t;
+  const auto wave = [](double a, double b) { return static_cast<float>(std::sin(a) * std::cos(b)); };
+  if (x >= left && x < left + 48 && y >= 16 && y < 64)
+    return {{1.5f + wave(0.35 * (x - left), 0.3 * y), 1, 0.3f}};
+  return {{0.3f, 0.5f + 0.3f * wave(0.21 * x + 1, 0.26 * y), 0.6f}};
+}
+
+TEST_F(GenerationTest, WhatHasNoMotionVectorsIsFoundByItsLooks) {
+  const Extent size{144, 80};
+  const FloatImage truth =
+      frame_of(size, [&](int x, int y) { return unmoved(x, y, 2.5); }).color;
+  const auto error = [&](const char* name) {
+    const auto player = player_of(name, size);
+    for (int t = 0; t <= 3; ++t)
+      must(player->play(frame_of(size, [&](int x, int y) { return unmoved(x, y, t); })));
+    const FloatImage made = half(*player);
+    double sum = 0;
+    for (size_t i = 0; i < made.values.size(); ++i)
+      sum += std::abs(double{made.values[i]} - truth.values[i]);
+    return sum;
+  };
+  const double by_motion = error("mob_fgsr_interpolation");
+  for (const char* name : {"motion_and_flow", "generation/nfru_by_hand", "../nfru"})
+    EXPECT_LT(error(name), 0.5 * by_motion) << name;
+}
+
 TEST_F(GenerationTest, TheOrderOfInvocationsDoesNotMatter) {
   const Extent size{33, 21};  // 693 texels, prime to the step
   const auto turned = [](const char* expression) {

@@ -118,17 +118,27 @@ def _augmented(rng: np.random.Generator, parts: list[torch.Tensor]) -> list[torc
     return [inputs, taken[:, order] * gain + low, counted, truth[order] * gain + low]
 
 
-def draw(clips: list[Pairs], rng: np.random.Generator, batch: int, crop: int, augment: bool = True) -> Batch:
+#: Of so many crops the one is taken whose samples differ most: where they are the same, weights do not matter.
+TRIES = 3
+
+
+def _crop(clips: list[Pairs], rng: np.random.Generator, crop: int) -> tuple[float, list[torch.Tensor]]:
+    """How much the samples of a random crop differ, and its parts in bytes."""
+    clip = clips[rng.integers(len(clips))]
+    i, (rows, columns) = int(rng.integers(len(clip.inputs))), clip.inputs.shape[2:]
+    if crop > min(rows, columns):
+        raise ValueError(f"clip {clip.name}: {columns}x{rows} pixels of the lane do not hold crops of {crop}")
+    y, x = (int(rng.integers(size - crop + 1)) for size in (rows, columns))
+    small, large = (..., slice(y, y + crop), slice(x, x + crop)), (..., slice(4 * y, 4 * (y + crop)), slice(4 * x, 4 * (x + crop)))
+    parts = [clip.inputs[i][small], clip.samples[i][large], clip.counted[i][large], clip.truth[i][large]]
+    some = parts[1][:, :, ::4, ::4].float()
+    return float((some.amax(0) - some.amin(0)).mean()), parts
+
+
+def draw(clips: list[Pairs], rng: np.random.Generator, batch: int, crop: int) -> Batch:
     """Random crops of `crop` pixels of the lane, even. Errors: ValueError when a clip is smaller."""
     drawn = []
     for _ in range(batch):
-        clip = clips[rng.integers(len(clips))]
-        i, (rows, columns) = int(rng.integers(len(clip.inputs))), clip.inputs.shape[2:]
-        if crop > min(rows, columns):
-            raise ValueError(f"clip {clip.name}: {columns}x{rows} pixels of the lane do not hold crops of {crop}")
-        y, x = (int(rng.integers(size - crop + 1)) for size in (rows, columns))
-        small, large = (..., slice(y, y + crop), slice(x, x + crop)), (..., slice(4 * y, 4 * (y + crop)), slice(4 * x, 4 * (x + crop)))
-        parts = [clip.inputs[i][small].float() / 255, clip.samples[i][large].float() / 255,
-                 clip.counted[i][large].float() / 255, clip.truth[i][large].float() / 255]
-        drawn.append(_augmented(rng, parts) if augment else parts)
+        _, parts = max((_crop(clips, rng, crop) for _ in range(TRIES)), key=lambda each: each[0])
+        drawn.append(_augmented(rng, [part.float() / 255 for part in parts]))
     return Batch(*(torch.stack(part) for part in zip(*drawn)))

@@ -138,13 +138,15 @@ def places(pair: Pair, uv: torch.Tensor, y: torch.Tensor, x: torch.Tensor) -> tu
 
 
 def flow_at(pair: Pair, uv: torch.Tensor) -> torch.Tensor:
-    """Motion in uv from the previous frame to the newest one: that of the nearest word of 3x3, the first of equal ones."""
+    """Motion in uv from the previous frame to the newest one: that of the pixel's own word, else of the nearest of 3x3, the first
+    of equal ones."""
     w, h = pair.lane
     y, x = _texel(uv, pair.flow_splat)
     offsets = [((y + dy).clamp(0, h - 1), (x + dx).clamp(0, w - 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
     words = torch.cat([fetch(pair.flow_splat, *at) for at in offsets], 1)
-    nearest = words.max(1, keepdim=True).values
-    first = (words == nearest).int().argmax(1, keepdim=True)
+    largest = words.max(1, keepdim=True).values
+    first = torch.where(words[:, 4:5] != 0, torch.full_like(largest, 4), (words == largest).int().argmax(1, keepdim=True))
+    nearest = words.gather(1, first)
     target = [torch.stack([at[axis] for at in offsets], 1).gather(1, first)[:, 0] for axis in (0, 1)]
     rows, columns = _way_back(nearest)
     flow = fetch(pair.flow, (target[0] - rows).clamp(0, h - 1), (target[1] - columns).clamp(0, w - 1))

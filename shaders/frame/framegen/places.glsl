@@ -34,15 +34,17 @@ Places places(vec2 uv, ivec2 at) {
 }
 
 #if FLOW
-/// Motion in uv from the previous frame to the newest one, of the nearest pixel of the flow that was sent around here.
+/// Motion in uv from the previous frame to the newest one, of the pixel of the flow that was sent here, else of the nearest one that was
+/// sent around here. Source: nfru.md section 3.2, which takes the nearest in either case.
 vec2 flow_at(vec2 uv) {
   const ivec2 size = ivec2(FLOW_WIDTH, FLOW_HEIGHT), at = inside(ivec2(floor(uv * vec2(size))), size);
-  uint nearest = 0u;
+  const uint own = fetch_flow_splat(at);
+  uint nearest = own;
   ivec2 target = at;
   [[unroll]] for (int i = 0; i < 9; ++i) {
     const ivec2 to = inside(at + ivec2(i % 3, i / 3) - 1, size);
     const uint word = fetch_flow_splat(to);
-    if (word > nearest) {
+    if (own == 0u && word > nearest) {
       nearest = word;
       target = to;
     }
