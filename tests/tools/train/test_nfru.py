@@ -235,7 +235,17 @@ class Runs(unittest.TestCase):
                 export_nfru.export(Path(folder) / "w.npz", Path(folder) / "out")
 
 
-class Baseline(unittest.TestCase):
+class Shipped(unittest.TestCase):
+    def test_the_folder_is_what_its_weights_export(self):
+        shipped = Path(__file__).resolve().parents[3] / "models/nfru"
+        with tempfile.TemporaryDirectory() as out:
+            export_nfru.export(shipped / "weights.npz", Path(out))
+            names = sorted(str(path.relative_to(out)) for path in Path(out).rglob("*") if path.is_file())
+            self.assertEqual(names, ["frame.json", "golden/input.npy", f"golden/{nfru.OUTPUT}.npy", "model.fp16.tosa",
+                                     "model.fp32.tosa", "model.int16.tosa", "model.tosa", "quantization.json", "weights.npz"])
+            for name in names:
+                self.assertEqual((Path(out) / name).read_bytes(), (shipped / name).read_bytes(), name)
+
     def test_the_weights_by_hand_have_the_passes_of_the_network(self):
         path = nfru_data.MODEL / "frame.json"
         wanted = export_nfru.as_bytes(export_nfru.frame_description(None, "../../../../shaders/frame"))
