@@ -246,6 +246,8 @@ class Shipped(unittest.TestCase):
             for name in names:
                 self.assertEqual((Path(out) / name).read_bytes(), (shipped / name).read_bytes(), name)
 
+
+class Baseline(unittest.TestCase):
     def test_the_weights_by_hand_have_the_passes_of_the_network(self):
         path = nfru_data.MODEL / "frame.json"
         wanted = export_nfru.as_bytes(export_nfru.frame_description(None, "../../../../shaders/frame"))
