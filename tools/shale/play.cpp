@@ -105,14 +105,17 @@ Result<Picture> comparison(const Arguments& arguments, const Picture& input,
   return side_by_side(panels, 2);
 }
 
-/// All images and all tensors that have a quantization, after a frame: DIR/0000.NAME.npy.
-Result<void> dump(const Player& player, const std::string& folder, uint32_t frame) {
+/// All images, words as int32, and all tensors, after a shown picture: DIR/0000.NAME.npy.
+Result<void> dump(const Player& player, const std::string& folder, size_t shown) {
   FileNames names;
   for (const Resource& resource : player.variant().resources) {
     const std::string path =
-        (fs::path(folder) / fmt::format("{:04}.{}.npy", frame, names.claim(resource.name)))
+        (fs::path(folder) / fmt::format("{:04}.{}.npy", shown, names.claim(resource.name)))
             .string();
-    if (is_image(resource.category)) {
+    if (resource.format == ImageFormat::kR32Uint && is_image(resource.category)) {
+      SHALE_TRY(const Tensor words, player.read_words(resource.name));
+      SHALE_TRY_VOID(write_npy(path, words));
+    } else if (is_image(resource.category)) {
       SHALE_TRY(const FloatImage image, player.read(resource.name, false));
       SHALE_TRY_VOID(write_npy(path, image));
     } else if (resource.category == Category::kInput || resource.category == Category::kOutput) {
@@ -296,6 +299,11 @@ Result<int> play(const Arguments& arguments) {
     return bad_input("--generate", "{}",
                      is_sequence ? arguments.model + " has no program that generates pictures"
                                  : "single pictures have no motion; expected a scene or a dataset");
+  const Variant& variant = sandwich.package.variants.front();
+  if (arguments.check && generator && arguments.generate == 0 &&
+      !has_network(variant, 1 - generator->program))
+    return bad_input("--check", "the network of {} makes pictures between frames; it needs --generate",
+                     arguments.model);
   const std::vector<Shown> shown =
       shown_pictures(source->frame_count(), generator, arguments.generate);
   SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind, shown));
@@ -363,18 +371,22 @@ Result<int> play(const Arguments& arguments) {
                          [&](const Shown& each) { return each.frame == i && each.time == time; }) -
             shown.begin());
       };
+      /// What --dump and --check ask for, of the picture that was just made.
+      const auto look_inside = [&](size_t number, Json& into) -> Result<void> {
+        if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, number));
+        if (!arguments.check || !player->ran_network()) return {};
+        SHALE_TRY(const std::optional<std::string> difference,
+                  network_difference(*player, sandwich.graphs));
+        into["network"] = difference ? *difference : "equals the interpreter";
+        if (difference) exit = kRefused;
+        return {};
+      };
       const size_t rendered_at = at({});
       SHALE_TRY(const Picture result, write(rendered_at, *std::move(played)));
       Json entry = entry_of(rendered_at, result);
       entry.update(timed);
       if (const std::optional<bool> kept = player->kept_promise()) entry["kept_promise"] = *kept;
-      if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
-      if (arguments.check) {
-        SHALE_TRY(const std::optional<std::string> difference,
-                  network_difference(*player, sandwich.graphs));
-        entry["network"] = difference ? *difference : "equals the interpreter";
-        if (difference) exit = kRefused;
-      }
+      SHALE_TRY_VOID(look_inside(rendered_at, entry));
       const bool compares = !arguments.reference.empty() || !arguments.compare.empty();
       if (compares && i == 0) {
         const Picture input = to_picture(
@@ -398,6 +410,7 @@ Result<int> play(const Arguments& arguments) {
         SHALE_TRY(const Picture picture, write(at(each.time), *std::move(generated)));
         Json generated_entry = entry_of(at(each.time), picture);
         generated_entry["generated_at"] = *each.time;
+        SHALE_TRY_VOID(look_inside(at(each.time), generated_entry));
         json["frames"].push_back(std::move(generated_entry));
       }
     }
@@ -465,7 +478,7 @@ Action add_play(CLI::App& app) {
   app.add_option("--debug-view", arguments->debug_view,
                  "folder for a mosaic of the intermediate images of each frame");
   app.add_option("--dump", arguments->dump,
-                 "folder for every image and tensor of each frame, FRAME.NAME.npy");
+                 "folder for every image and tensor of each shown picture, NUMBER.NAME.npy");
   CLI::Option* check =
       app.add_flag("--check", arguments->check,
                    "compare the network of each frame bit for bit with the reference interpreter");

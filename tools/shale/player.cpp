@@ -203,6 +203,12 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
   return sandwich;
 }
 
+bool has_network(const Variant& variant, uint32_t program) {
+  const std::span<const Segment> segments = program_segments(variant, program);
+  return std::any_of(segments.begin(), segments.end(),
+                     [](const Segment& segment) { return segment.kind == SegmentKind::kGraph; });
+}
+
 Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package) {
   const vk::Context& context = device.context();
   const std::string compiles = driver_compiles(package.variants.front());
@@ -337,8 +343,9 @@ FloatImage Player::output_picture() const {
 Result<FloatImage> Player::generate(float time, std::vector<DispatchTime>* times) {
   // The loop refuses what no program generates; then it asks for no times.
   const std::optional<Generator>& generator = loop_.variant().generator;
+  program_ = generator ? generator->program : 0;
   SHALE_TRY_VOID(submit(
-      generator ? generator->program : 0,
+      program_,
       [&](VkCommandBuffer commands, vk::Timestamps* timestamps) {
         return loop_.generate(time, commands, timestamps);
       },
@@ -444,30 +451,45 @@ Result<Tensor> Player::read_tensor(const std::string& name) const {
   return result;
 }
 
+Result<std::vector<uint8_t>> Player::texels(const Resource& image) const {
+  if (is_linear(image)) {
+    SHALE_TRY(const TensorView view, loop_.tensor(image.name));
+    SHALE_TRY(const vk::Buffer buffer, download(context_, view));
+    return dense_rows(buffer.mapped(), image);
+  }
+  VkImage from = VK_NULL_HANDLE;
+  if (const auto host = images_.find(image.name); host != images_.end()) {
+    from = host->second.image.get();
+  } else {
+    SHALE_TRY(from, loop_.image(image.name));
+  }
+  SHALE_TRY(const vk::Buffer buffer,
+            download(context_, (image_bytes(image) + 3) / 4 * 4,
+                     [&](VkCommandBuffer commands, VkBuffer to) {
+                       const VkBufferImageCopy copy = whole({image.width, image.height});
+                       context_.vk.CmdCopyImageToBuffer(commands, from, VK_IMAGE_LAYOUT_GENERAL, to,
+                                                        1, &copy);
+                     }));
+  return std::vector<uint8_t>(
+      buffer.mapped().begin(),
+      buffer.mapped().begin() + static_cast<std::ptrdiff_t>(image_bytes(image)));
+}
+
+Result<Tensor> Player::read_words(const std::string& name) const {
+  const Resource* image = resource(name);
+  if (!image || !is_image(image->category) || image->format != ImageFormat::kR32Uint)
+    return bad_input("", "there is no image \"{}\" of words", name);
+  Tensor words{{DType::kInt32, {image->height, image->width}}, {}};
+  SHALE_TRY(words.bytes, texels(*image));
+  return words;
+}
+
 Result<FloatImage> Player::read(const std::string& name, bool real) const {
   const Resource* wanted = resource(name);
   if (!wanted) return bad_input("", "there is no image or tensor \"{}\"", name);
-  const Extent extent{wanted->width, wanted->height};
-  if (is_linear(*wanted)) {
-    SHALE_TRY(const TensorView view, loop_.tensor(name));
-    SHALE_TRY(const vk::Buffer buffer, download(context_, view));
-    return unpack_texels(dense_rows(buffer.mapped(), *wanted), wanted->format, extent);
-  }
   if (is_image(wanted->category)) {
-    VkImage image = VK_NULL_HANDLE;
-    if (const auto host = images_.find(name); host != images_.end()) {
-      image = host->second.image.get();
-    } else {
-      SHALE_TRY(image, loop_.image(name));
-    }
-    SHALE_TRY(const vk::Buffer buffer,
-              download(context_, (image_bytes(*wanted) + 3) / 4 * 4,
-                       [&](VkCommandBuffer commands, VkBuffer to) {
-                         const VkBufferImageCopy copy = whole({extent.width, extent.height});
-                         context_.vk.CmdCopyImageToBuffer(commands, image, VK_IMAGE_LAYOUT_GENERAL,
-                                                          to, 1, &copy);
-                       }));
-    return unpack_texels(buffer.mapped(), wanted->format, extent);
+    SHALE_TRY(const std::vector<uint8_t> bytes, texels(*wanted));
+    return unpack_texels(bytes, wanted->format, {wanted->width, wanted->height});
   }
   SHALE_TRY(const Tensor tensor, read_tensor(name));
   const Shape& shape = tensor.type.shape;

@@ -42,6 +42,9 @@ Result<std::pair<Extent, Extent>> sandwich_sizes(const Variant& variant);
 Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& arguments,
                                std::optional<Extent> render, std::optional<Extent> output);
 
+/// Whether a program runs a network.
+bool has_network(const Variant& variant, uint32_t program);
+
 class Player {
  public:
   /// `device` must outlive the player. Known image names are color, depth, motion (inputs) and
@@ -55,8 +58,9 @@ class Player {
   /// True if frames go in and out as a display shows them.
   bool is_display() const;
   const Variant& variant() const { return loop_.variant(); }
-  /// The program that the last frame ran.
+  /// The program that the last frame or generated picture ran, and whether it has a network.
   uint32_t program() const { return program_; }
+  bool ran_network() const { return has_network(variant(), program_); }
   /// Whether the last frame kept the package's promise, so that the passes of kept promises made it, or took the full
   /// ones; nothing without a promise.
   std::optional<bool> kept_promise() const { return kept_promise_; }
@@ -95,6 +99,10 @@ class Player {
   /// The bytes of a graph input or output after the last frame.
   Result<Tensor> read_tensor(const std::string& name) const;
 
+  /// An image of format r32_uint after the last frame, as int32 [height, width]: all bits, which read() rounds to floats.
+  /// Errors: kBadInput if there is none of that name; kDevice.
+  Result<Tensor> read_words(const std::string& name) const;
+
   /// The package's views of the last frame as panels.
   Result<std::vector<Panel>> views() const;
 
@@ -116,6 +124,8 @@ class Player {
   FloatImage output_picture() const;
   Result<void> set_params(const FrameCamera& camera);
   Extent extent_of(const std::string& name) const;
+  /// Of an image, row after row.
+  Result<std::vector<uint8_t>> texels(const Resource& image) const;
   const Resource* resource(const std::string& name) const;
 
   const vk::Context& context_;
@@ -129,8 +139,8 @@ class Player {
   std::string compiles_;  ///< what the first frame waits for; empty after it
 };
 
-/// The network's outputs of the last frame against the interpreter's, from the same inputs: what differs first, or
-/// nothing. `graphs` are a Sandwich's, at least one.
+/// The network's outputs of the last frame or generated picture against the interpreter's, from the same inputs: what differs
+/// first, or nothing. `graphs` are a Sandwich's, at least one; Player::ran_network().
 /// Errors: as check_outputs and Player::read_tensor; kBadInput if the user interrupts.
 Result<std::optional<std::string>> network_difference(const Player& player,
                                                       const std::vector<Graph>& graphs);

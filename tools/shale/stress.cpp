@@ -249,7 +249,7 @@ class Subject {
 
   /// The network of the last frame against the interpreter: what differs, or nothing.
   Result<std::optional<std::string>> departs() const {
-    if (graphs_.empty()) return std::optional<std::string>();
+    if (graphs_.empty() || !player_->ran_network()) return std::optional<std::string>();
     return network_difference(*player_, graphs_);
   }
 

@@ -12,6 +12,7 @@ Source: Arm's NFRU v1 (nfru.md sections 4 and 5). Its release has weights per te
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ import precisions
 import quantize
 import training
 from nss import Concat, Up, convolve_exactly
-from tosa_writer import GraphWriter
+from tosa_writer import GraphWriter, Tensor
 
 CHANNELS = 16
 #: The four samples: previous and newest frame by motion, previous and newest by flow.
@@ -170,6 +171,69 @@ class Nfru(nn.Module):
         self.ranges, self.observed = ranges, None
 
 
+#: Borders of the straight pieces that stand for a logarithm: of a difference of colours, of how hidden a sample is.
+PIECES = (0.0, 0.012, 0.04, 0.12)
+HIDDEN_PIECES = (0.0, 0.8)
+
+
+def _slopes(function, borders: tuple[float, ...], end: float) -> list[float]:
+    """Factors of relu(x - border) whose sum is function(x) - function(0) at all borders and at the end."""
+    ends, slope, out = (*borders[1:], end), 0.0, []
+    for low, high in zip(borders, ends):
+        next_slope = (function(high) - function(low)) / (high - low)
+        out.append(next_slope - slope)
+        slope = next_slope
+    return out
+
+
+def by_formula(seed: int = 0) -> Nfru:
+    """A network that weighs nearly as nfru/pre.comp does by hand, which training starts from: each pair of samples by the inverse square
+    of its difference, those by motion less where they are hidden. Channels that the formula does not need are random, and hardly
+    count at first."""
+    torch.manual_seed(seed)
+    model = Nfru()
+    weights = {name: (conv.weight, conv.bias) for name, conv in model.convs.items()}
+    shares, used = (0.25, 0.5, 0.25), len(PIECES) * 2 + len(HIDDEN_PIECES) * 2
+
+    def take(name: str, channel: int, parts: dict[int, float], bias: float = 0.0) -> None:
+        weight, biases = weights[name]
+        weight[channel] = 0.0
+        for source, factor in parts.items():
+            weight[channel, source, weight.shape[2] // 2, weight.shape[3] // 2] = factor
+        biases[channel] = bias
+
+    with torch.no_grad():
+        for pair in (0, 1):  # differences of either sign
+            for c in range(3):
+                first, second = 6 * pair + c, 6 * pair + 3 + c
+                take("conv1", first, {first: 1.0, second: -1.0})
+                take("conv1", second, {first: -1.0, second: 1.0})
+            take("conv2", pair, {6 * pair + c: shares[c % 3] for c in range(6)})
+            take("conv1", 12 + pair, {14 + pair: 1.0})
+            take("conv2", 2 + pair, {12 + pair: 1.0})
+        pieces = [(source, border) for source in (0, 1) for border in PIECES]
+        pieces += [(source, border) for source in (2, 3) for border in HIDDEN_PIECES]
+        for channel, (source, border) in enumerate(pieces):
+            take("conv3", channel, {source: 1.0}, -border)
+            take("skip1", channel, {channel: 1.0})
+            take("conv7", channel, {16 + channel: 1.0})
+        likely = _slopes(lambda d: -2.0 * math.log(0.01 + d), PIECES, 1.0)
+        seen = _slopes(lambda h: math.log(1.02 - h), HIDDEN_PIECES, 1.0)
+        middle = -math.log(0.01)  # logits lie around 0
+        for sample in range(SAMPLES):
+            pair = sample // 2
+            weight, biases = weights[OUTPUT]
+            weight[sample, :used] = 0.0
+            parts = {len(PIECES) * pair + k: slope for k, slope in enumerate(likely)}
+            if pair == 0:
+                first = 2 * len(PIECES) + len(HIDDEN_PIECES) * sample
+                parts |= {first + k: slope for k, slope in enumerate(seen)}
+            for source, factor in parts.items():
+                weight[sample, source, 2, 2] = factor
+            biases[sample] = middle
+    return model
+
+
 def blended(logits: torch.Tensor, samples: torch.Tensor) -> torch.Tensor:
     """Logits `[n, 4, h, w]` and colours `[n, 4, 3, h, w]` to the picture `[n, 3, h, w]`."""
     return (torch.softmax(logits, 1).unsqueeze(2) * samples).sum(1)
@@ -219,15 +283,20 @@ def to_int8(model: Nfru) -> Int8Nfru:
                                              c.name != OUTPUT) for c in CONVS})
 
 
+def _joined(graph: GraphWriter, node: Up | Concat, values: dict[str, Tensor]) -> Tensor:
+    """The nodes that are the same in every precision."""
+    if isinstance(node, Concat):
+        return graph.concat(node.name, [values[s] for s in node.sources], 3)
+    return graph.resize_nearest(node.name, values[node.source], 2)
+
+
 def build_graph(network: Int8Nfru, rows: int, columns: int) -> GraphWriter:
     """The .tosa graph at this size, even sides. ReLU is the lower end of the codes."""
     graph = GraphWriter()
     values = {"input": graph.input("input", (1, rows, columns, CHANNELS))}
     for node in NODES:
-        if isinstance(node, Concat):
-            values[node.name] = graph.concat(node.name, [values[s] for s in node.sources], 3)
-        elif isinstance(node, Up):
-            values[node.name] = graph.resize_nearest(node.name, values[node.source], 2)
+        if not isinstance(node, Conv):
+            values[node.name] = _joined(graph, node, values)
         else:
             layer = network.layers[node.name]
             x = graph.conv2d(f"{node.name}/acc", values[node.source], layer.weight, layer.bias,
@@ -235,6 +304,53 @@ def build_graph(network: Int8Nfru, rows: int, columns: int) -> GraphWriter:
             values[node.name] = graph.rescale(node.name, x, layer.multiplier, layer.shift, output_zp=layer.output_zp)
     graph.output(values[OUTPUT])
     return graph
+
+
+def build_real_graph(model: Nfru, rows: int, columns: int, dtype: str) -> GraphWriter:
+    """The graph in FP32 or FP16, with the weights as they were trained. Errors: ValueError when there are no ranges."""
+    graph, out = GraphWriter(), scales(model)[OUTPUT]
+    values = {"input": precisions.real_input(graph, graph.input("input", (1, rows, columns, CHANNELS)), INPUT, dtype)}
+    for node in NODES:
+        if not isinstance(node, Conv):
+            values[node.name] = _joined(graph, node, values)
+            continue
+        x = precisions.real_conv(graph, f"{node.name}/acc", values[node.source], model.convs[node.name], node.pad,
+                                 (node.stride, node.stride))
+        values[node.name] = (precisions.real_output(graph, OUTPUT, x, out) if node.name == OUTPUT
+                             else precisions.relu(graph, node.name, x))
+    graph.output(values[OUTPUT])
+    return graph
+
+
+def short_scales(model: Nfru) -> dict[str, precisions.Scale]:
+    """Scale and zero point of every tensor of the INT16 form. Errors: ValueError when there are no ranges."""
+    return {name: (scale, zero) if name in ("input", OUTPUT) else (scale * 255.0 / precisions.INT16_MAX, 0)
+            for name, (scale, zero) in scales(model).items()}
+
+
+def build_short_graph(model: Nfru, rows: int, columns: int) -> GraphWriter:
+    """The graph with int16 activations. Errors: ValueError when there are no ranges."""
+    graph, known = GraphWriter(), short_scales(model)
+    x, step = precisions.short_input(graph, graph.input("input", (1, rows, columns, CHANNELS)), INPUT)
+    values, steps = {"input": x}, {name: scale for name, (scale, _) in known.items()} | {"input": step}
+    for node in NODES:
+        if not isinstance(node, Conv):
+            values[node.name] = _joined(graph, node, values)
+            continue
+        last = node.name == OUTPUT
+        x = precisions.short_conv(graph, f"{node.name}/acc", OUTPUT if last else f"{node.name}/rescale", values[node.source],
+                                  steps[node.source], model.convs[node.name], known[node.name], "INT8" if last else "INT16",
+                                  node.pad, (node.stride, node.stride))
+        values[node.name] = x if last else precisions.relu(graph, node.name, x)
+    graph.output(values[OUTPUT])
+    return graph
+
+
+def tensor_scales(model: Nfru) -> dict[str, dict[str, precisions.Scale]]:
+    """For quantization.json. Errors: ValueError when there are no ranges."""
+    known = scales(model)
+    ends = {"input": known["input"], OUTPUT: known[OUTPUT]}
+    return {"int8": known, "int16": short_scales(model), "fp32": ends, "fp16": ends}
 
 
 # ---- files ------------------------------------------------------------------------------------------------

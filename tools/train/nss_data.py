@@ -80,20 +80,30 @@ def ratio_folder(root: Path, name: str) -> str:
     return "x2" if "x2" in found else found[0]
 
 
-def load_clip(root: Path, name: str, count: int | None = None, ratio: str | None = None, first: int = 0) -> Clip:
-    """Reads a clip; ratio: folder of its pictures (default: x2, else the first). Errors: OSError, ValueError."""
-    ratio = ratio or ratio_folder(root, name)
-    path = root / f"{name}.json"
+def load_cameras(path: Path, first: int = 0, count: int | None = None) -> tuple[list[list[float]], list[float], bool, list[dict]]:
+    """Of the frames of a sequence: `nss_passes.camera_vector` and exposure, whether depth is reversed, and what the file says of
+    each frame. Errors: OSError, ValueError."""
     try:
         sequence = json.loads(path.read_text())
         frames = sequence["Frames"]
         frames = frames[first : None if count is None else first + count]
-        jitter = [(float(f["Jitter"]["X"]), float(f["Jitter"]["Y"])) for f in frames]
         exposure = [float(f.get("Exposure", DEFAULT_EXPOSURE)) for f in frames]
-        cut = [bool(f.get("CameraCut", False)) for f in frames]
         reverse = bool(sequence.get("ReverseZ", False))
         camera = [passes.camera_vector(f["FovX"], f["FovY"], f["CameraNearPlane"], f["CameraFarPlane"], reverse)
                   for f in frames]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"{path}: not a sequence description ({error})") from None
+    return camera, exposure, reverse, frames
+
+
+def load_clip(root: Path, name: str, count: int | None = None, ratio: str | None = None, first: int = 0) -> Clip:
+    """Reads a clip; ratio: folder of its pictures (default: x2, else the first). Errors: OSError, ValueError."""
+    ratio = ratio or ratio_folder(root, name)
+    path = root / f"{name}.json"
+    camera, exposure, reverse, frames = load_cameras(path, first, count)
+    try:
+        jitter = [(float(f["Jitter"]["X"]), float(f["Jitter"]["Y"])) for f in frames]
+        cut = [bool(f.get("CameraCut", False)) for f in frames]
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: not a sequence description ({error})") from None
     if not (root / ratio).is_dir():

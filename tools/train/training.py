@@ -156,25 +156,29 @@ def check_limits(options: argparse.Namespace, limits: dict[str, tuple[float, flo
             raise ValueError(f"--{name} must lie in {low} to {high}, found {getattr(options, name)}")
 
 
-def check_recurrent(options: argparse.Namespace) -> None:
-    """The options that all recurrent training has. Errors: ValueError."""
-    check_limits(options, {"steps": (1, 10**7), "batch": (1, 256), "crop": (16, 1024), "frames": (2, 256),
-                           "chunk": (1, 256), "seed": (0, 999), "every": (1, 10**7), "threads": (1, 256)})
+def check_options(options: argparse.Namespace) -> None:
+    """What add_options adds. Errors: ValueError."""
+    check_limits(options, {"steps": (1, 10**7), "batch": (1, 256), "crop": (16, 1024), "seed": (0, 999),
+                           "every": (1, 10**7), "threads": (1, 256)})
     if not 0 < options.lr <= 1:
         raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
     if options.qat and not (options.init or options.resume):
         raise ValueError("--qat needs --init")
 
 
-def add_recurrent_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop: int, frames: int,
-                          chunk: int, crop_help: str = "crop side in render pixels") -> None:
-    """With these defaults; check_recurrent checks them. --init is the program's own."""
-    parser.add_argument("--data", type=Path, required=True, help="data set folder; its cache is DATA/clips.pt")
-    parser.add_argument("--steps", type=int, default=steps, help=f"sequences (default: {steps})")
-    parser.add_argument("--batch", type=int, default=batch, help=f"crops per sequence (default: {batch})")
+def check_recurrent(options: argparse.Namespace) -> None:
+    """The options that all recurrent training has. Errors: ValueError."""
+    check_options(options)
+    check_limits(options, {"frames": (2, 256), "chunk": (1, 256)})
+
+
+def add_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop: int, what: str = "sequences",
+                crop_help: str = "crop side in render pixels") -> None:
+    """With these defaults; check_options checks them. --init is the program's own."""
+    parser.add_argument("--data", type=Path, required=True, help="data set folder, which holds a cache, too")
+    parser.add_argument("--steps", type=int, default=steps, help=f"{what} (default: {steps})")
+    parser.add_argument("--batch", type=int, default=batch, help=f"crops of each (default: {batch})")
     parser.add_argument("--crop", type=int, default=crop, help=f"{crop_help} (default: {crop})")
-    parser.add_argument("--frames", type=int, default=frames, help=f"frames per sequence (default: {frames})")
-    parser.add_argument("--chunk", type=int, default=chunk, help=f"frames per update of the weights (default: {chunk})")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lr", type=float, default=1e-3, help="highest learning rate (default: 0.001)")
     parser.add_argument("--qat", action="store_true", help="fake the INT8 arithmetic; needs --init")
@@ -182,6 +186,14 @@ def add_recurrent_options(parser: argparse.ArgumentParser, *, steps: int, batch:
     parser.add_argument("--resume", action="store_true", help="continue OUT/last.pt")
     parser.add_argument("--every", type=int, default=10, help="steps between checkpoints (default: 10)")
     parser.add_argument("--threads", type=int, default=1, help="torch threads (default: 1)")
+
+
+def add_recurrent_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop: int, frames: int,
+                          chunk: int, crop_help: str = "crop side in render pixels") -> None:
+    """With these defaults; check_recurrent checks them. --init is the program's own."""
+    add_options(parser, steps=steps, batch=batch, crop=crop, crop_help=crop_help)
+    parser.add_argument("--frames", type=int, default=frames, help=f"frames per sequence (default: {frames})")
+    parser.add_argument("--chunk", type=int, default=chunk, help=f"frames per update of the weights (default: {chunk})")
 
 
 def command(name: str, arguments: list[str] | None, parse, train) -> int:

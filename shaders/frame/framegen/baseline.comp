@@ -10,18 +10,9 @@
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 
 SHALE_PARAMS;
+#include "displayed.glsl"
 
 const ivec2 kOutput = ivec2(OUTPUT_WIDTH, OUTPUT_HEIGHT);
-
-/// Brightness of a display, nearly: the root of x / (1 + x).
-vec3 displayed(vec3 c) {
-  const vec3 x = exposed(c, params.exposure);
-  return sqrt(x / (1.0 + x));
-}
-vec3 linear_of(vec3 d) {
-  const vec3 x = min(d * d, 1.0 - 1e-6);
-  return min(x / (1.0 - x) / params.exposure, kMaxColor);
-}
 
 #if METHOD == 2
 bool on_screen(vec2 uv) { return all(greaterThanEqual(uv, vec2(0.0))) && all(lessThan(uv, vec2(1.0))); }

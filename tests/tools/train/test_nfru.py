@@ -1,4 +1,4 @@
-"""NFRU: graph description, batch normalization, exact INT8; with SHALE_PROGRAM also the cost rows and an exact run."""
+"""NFRU: graph description, batch normalization, exact INT8, data and training; with SHALE_PROGRAM also the cost rows and an exact run."""
 
 import json
 import os
@@ -13,8 +13,13 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools" / "train"))
 
+import export_nfru  # noqa: E402
 import nfru  # noqa: E402
+import nfru_clips  # noqa: E402
+import nfru_data  # noqa: E402
+import nfru_passes  # noqa: E402
 import quantize  # noqa: E402
+import train_nfru  # noqa: E402
 
 torch.set_num_threads(1)
 PROGRAM = os.environ.get("SHALE_PROGRAM", "")
@@ -96,6 +101,19 @@ class Training(unittest.TestCase):
         found = nfru.blended(10 * torch.randn(1, 4, 8, 8), picture.expand(1, 4, 3, 8, 8))
         self.assertLess(float((found - picture[:, 0]).abs().max()), 1e-6)
 
+    def test_training_starts_near_the_weights_by_hand(self):
+        x = torch.rand(1, 16, 24, 24, generator=torch.Generator().manual_seed(2))
+        # The frames agree by either way in a half of the picture each.
+        x[:, 3:6, :, :12], x[:, 9:12, :, 12:] = x[:, 0:3, :, :12], x[:, 6:9, :, 12:]
+        with torch.no_grad():
+            found = torch.softmax(nfru.by_formula()(x), 1)
+        shares = torch.tensor([0.25, 0.5, 0.25]).view(1, 3, 1, 1)
+        motion, flow = (0.01 + ((x[:, i : i + 3] - x[:, i + 3 : i + 6]).abs() * shares).sum(1) for i in (0, 6))
+        wanted = torch.stack([(1.02 - x[:, 14]) / motion**2, (1.02 - x[:, 15]) / motion**2, 1 / flow**2, 1 / flow**2], 1)
+        wanted = wanted / wanted.sum(1, keepdim=True)
+        self.assertLess(float((found - wanted).abs().mean()), 0.06)
+        self.assertGreater(float((wanted - 0.25).abs().mean()), 0.2)
+
     def test_weights_come_back(self):
         model = network()
         with tempfile.TemporaryDirectory() as folder:
@@ -139,6 +157,102 @@ class Integers(unittest.TestCase):
                 total = quantize.apply_scale_32(total, layer.multiplier[oc], layer.shift[oc])[0] + layer.output_zp
                 self.assertEqual(found[y, column, oc], min(max(total, -128), 127))
             self.assertEqual(found.shape, (6 // node.stride, 8 // node.stride, 16))
+
+
+class Mean(unittest.TestCase):
+    def test_what_does_not_count_has_no_weight(self):
+        taken, logits = torch.rand(1, 4, 3, 6, 6), 20 * torch.randn(1, 4, 6, 6)
+        counted = torch.zeros(1, 4, 6, 6)
+        counted[:, 2] = 0.5
+        found = nfru_passes.post(logits, taken, counted)
+        self.assertLess(float((found - taken[:, 2]).abs().max()), 1e-6)
+
+    def test_of_equal_samples_it_is_the_picture(self):
+        picture = torch.rand(1, 1, 3, 6, 6)
+        found = nfru_passes.post(20 * torch.randn(1, 4, 6, 6), picture.expand(1, 4, 3, 6, 6), torch.full((1, 4, 6, 6), 0.5))
+        self.assertLess(float((found - picture[:, 0]).abs().max()), 1e-6)
+
+    def test_logits_are_enlarged_within_the_picture(self):
+        # A lane of 6x4 in a tensor of 8x8: what lies in the padding is not reached but by half a pixel at the border.
+        logits = torch.zeros(1, 4, 8, 8)
+        logits[:, :, 5:], logits[:, :, :, 7:] = 9.0, 9.0
+        self.assertEqual(float(nfru_passes.enlarged(logits, (6, 4), (24, 16)).max()), 0.0)
+
+
+def pairs() -> nfru_data.Pairs:
+    """Random; the truth is the third sample."""
+    generator = torch.Generator().manual_seed(4)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randint(0, 200, shape, generator=generator, dtype=torch.uint8)
+
+    taken = numbers(2, 4, 3, 96, 96)
+    return nfru_data.Pairs("0000", numbers(2, 16, 24, 24), taken, torch.ones(2, 4, 96, 96, dtype=torch.uint8), taken[:, 2].clone())
+
+
+class Data(unittest.TestCase):
+    def test_samples_go_along_with_the_truth(self):
+        for step in range(12):
+            batch = nfru_data.draw([pairs()], np.random.default_rng(step), 2, 16)
+            self.assertEqual(tuple(batch.inputs.shape), (2, 16, 16, 16))
+            self.assertEqual(tuple(batch.truth.shape), (2, 3, 64, 64))
+            for taken, truth in zip(batch.samples, batch.truth):  # the third, or, with the frames changed, the fourth
+                self.assertLess(min(float((taken[i] - truth).abs().max()) for i in (2, 3)), 1e-6)
+
+    def test_crops_that_do_not_fit_are_refused(self):
+        with self.assertRaisesRegex(ValueError, "do not hold crops of 26"):
+            nfru_data.draw([pairs()], np.random.default_rng(0), 1, 26)
+
+    def test_a_clip_is_a_function_of_its_number(self):
+        scenes = Path(__file__).resolve().parents[3] / "models/scenes/train"
+        for number in range(6):
+            scene, first, whole, (x, y) = nfru_clips.draw(number, scenes)
+            self.assertEqual((scene, first, whole, (x, y)), nfru_clips.draw(number, scenes))
+            self.assertLessEqual(first + nfru_clips.FRAMES, scene["frames"])
+            self.assertLessEqual(x + nfru_clips.SIZE, whole[0])
+            self.assertLessEqual(y + nfru_clips.SIZE, whole[1])
+
+
+class Runs(unittest.TestCase):
+    def options(self, folder: str, *more: str):
+        return train_nfru.parse(["--data", folder, "--out", folder, "--steps", "4", "--batch", "2", "--crop", "16",
+                                 "--every", "1", *more])
+
+    def test_resumed_training_has_the_same_bits(self):
+        with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as two:
+            whole = train_nfru.train(self.options(one), [pairs()], report=lambda line: None)
+            train_nfru.train(self.options(two), [pairs()], report=lambda line: None, stop_after=2)
+            parts = train_nfru.train(self.options(two, "--resume"), [pairs()], report=lambda line: None)
+            for name, value in whole["model"].items():
+                self.assertTrue(torch.equal(value, parts["model"][name]), name)
+            with self.assertRaisesRegex(ValueError, "checkpoint has batch 2, the run asks 1"):
+                train_nfru.train(self.options(two, "--resume", "--batch", "1"), [pairs()], report=lambda line: None)
+
+    def test_weights_without_ranges_are_refused(self):
+        with tempfile.TemporaryDirectory() as folder:
+            nfru.save_weights(Path(folder) / "w.npz", nfru.Nfru(), {})
+            with self.assertRaisesRegex(ValueError, "no activation ranges yet"):
+                export_nfru.export(Path(folder) / "w.npz", Path(folder) / "out")
+
+
+class Shipped(unittest.TestCase):
+    def test_the_folder_is_what_its_weights_export(self):
+        shipped = Path(__file__).resolve().parents[3] / "models/nfru"
+        with tempfile.TemporaryDirectory() as out:
+            export_nfru.export(shipped / "weights.npz", Path(out))
+            names = sorted(str(path.relative_to(out)) for path in Path(out).rglob("*") if path.is_file())
+            self.assertEqual(names, ["frame.json", "golden/input.npy", f"golden/{nfru.OUTPUT}.npy", "model.fp16.tosa",
+                                     "model.fp32.tosa", "model.int16.tosa", "model.tosa", "quantization.json", "weights.npz"])
+            for name in names:
+                self.assertEqual((Path(out) / name).read_bytes(), (shipped / name).read_bytes(), name)
+
+
+class Baseline(unittest.TestCase):
+    def test_the_weights_by_hand_have_the_passes_of_the_network(self):
+        path = nfru_data.MODEL / "frame.json"
+        wanted = export_nfru.as_bytes(export_nfru.frame_description(None, "../../../../shaders/frame"))
+        self.assertEqual(path.read_bytes(), wanted)
+        self.assertEqual(json.loads(wanted), export_nfru.frame_description(None, "../../../../shaders/frame"))
 
 
 @unittest.skipUnless(PROGRAM, "SHALE_PROGRAM is not set")
