@@ -281,6 +281,16 @@ WorkTable generic_work(const GroupProblem& problem, const DeviceProfile&) {
 
 namespace {
 
+/// One local for each dimension keeps the expressions short.
+void name_coordinates(Position& at, std::string& body) {
+  for (size_t i = 0; i < at.coords.size(); ++i) {
+    const std::string name = fmt::format("o{}", i);
+    if (at.coords[i] == "0") continue;
+    body += fmt::format("  int {} = {};\n", name, at.coords[i]);
+    at.coords[i] = name;
+  }
+}
+
 /// One invocation for each element of `shape`, numbered from 0: `body` starts with its position, the
 /// names of which are in `at`.
 KernelSource grid_over(const Shape& shape, Position& at, std::string& body) {
@@ -293,15 +303,35 @@ KernelSource grid_over(const Shape& shape, Position& at, std::string& body) {
       "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
       groups_x * kLocalSize, count);
   at = Codegen::split("index", shape);
-  // One named local per dimension keeps the expressions below short.
-  for (size_t i = 0; i < at.coords.size(); ++i) {
-    const std::string name = fmt::format("o{}", i);
-    if (at.coords[i] == "0") continue;
-    body += fmt::format("  int {} = {};\n", name, at.coords[i]);
-    at.coords[i] = name;
-  }
+  name_coordinates(at, body);
   KernelSource source;
   source.workgroups = {static_cast<uint32_t>(groups_x), static_cast<uint32_t>(groups_y), 1};
+  return source;
+}
+
+/// The same of the cells of a list, each a workgroup's elements of a row by some rows. Nothing where there are no cells.
+std::optional<KernelSource> grid_of_cells(Codegen& codegen, const Shape& shape, Position& at,
+                                          std::string& body) {
+  if (shape.size() != 4) return std::nullopt;
+  const int64_t row = shape[2] * shape[3], groups = (row + kLocalSize - 1) / kLocalSize;
+  if (std::max({groups, shape[0], shape[1]}) > kMaxWorkgroups) return std::nullopt;
+  KernelSource source;
+  source.workgroups = {static_cast<uint32_t>(groups), static_cast<uint32_t>(shape[1]),
+                       static_cast<uint32_t>(shape[0])};
+  const auto column = [&](int64_t i) {
+    const int64_t end = std::min((i + 1) * kLocalSize, row);
+    return Stretch{i * kLocalSize / shape[3], (end - 1) / shape[3] + 1};
+  };
+  codegen.take_cells(source, column, 1);
+  if (!source.cells) return std::nullopt;
+  body = fmt::format(
+      "  if (place.x >= {}u || place.y >= {}u) return;\n"
+      "  int index = int((place.z * {}u + place.y) * {}u + place.x);\n",
+      row, shape[1], shape[1], row);
+  at = {{"int(place.z)", "int(place.y)", fmt::format("int(place.x) / {}", shape[3]),
+         fmt::format("int(place.x) % {}", shape[3])},
+        "index"};
+  name_coordinates(at, body);
   return source;
 }
 
@@ -355,7 +385,9 @@ Result<std::vector<KernelSource>> generic_emit(const GroupProblem& problem,
   Codegen codegen(problem);
   Position at;
   std::string body;
-  KernelSource source = grid_over(codegen.value(problem.group.result).type.shape, at, body);
+  const Shape& shape = codegen.value(problem.group.result).type.shape;
+  std::optional<KernelSource> cells = grid_of_cells(codegen, shape, at, body);
+  KernelSource source = cells ? *std::move(cells) : grid_over(shape, at, body);
   if (problem.group.head) {
     const Node& head = problem.graph->node(*problem.group.head);
     body += HeadEmitter(codegen, head, at).emit();

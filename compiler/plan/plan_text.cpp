@@ -52,6 +52,7 @@ std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, cons
   const auto& [x, y, z] = dispatch.workgroups;
   std::string text = fmt::format("  {} {}: {}", number, dispatch.name, dispatch.kernel);
   if (segment.kind != SegmentKind::kTransfer) text += fmt::format(" {}x{}x{}", x, y, z);
+  if (dispatch.command_bytes) text += fmt::format(" by command at {}", *dispatch.command_bytes);
   text += '\n';
   for (const Binding& binding : dispatch.bindings)
     text += fmt::format(
@@ -78,8 +79,10 @@ std::string print_plan(const Plan& plan) {
     text += fmt::format("  {}: {} {}", resource.name, category_name(resource.category),
                         resource_line(resource));
     if (const auto live = plan.live.find(i); live != plan.live.end())
-      text += fmt::format(", at {}, live {} to {}", resource.offset_bytes, live->second.first,
-                          live->second.last);
+      text += live->second.last == kAlways
+                  ? fmt::format(", at {}, kept", resource.offset_bytes)
+                  : fmt::format(", at {}, live {} to {}", resource.offset_bytes, live->second.first,
+                                live->second.last);
     text += '\n';
   }
   text += fmt::format("arena {} bytes\n", variant.arena_bytes);
@@ -99,6 +102,9 @@ std::string print_plan(const Plan& plan) {
     text += '\n';
     for (size_t s = 0; s < variant.segments.size(); ++s) {
       if (variant.segments[s].program != program) continue;
+      if (const std::optional<Tiles>& tiles = variant.segments[s].tiles)
+        text += fmt::format("  {} by tiles, tolerance {}\n", variant.segments[s].name,
+                            tiles->tolerance);
       for (size_t d = 0; d < variant.segments[s].dispatches.size(); ++d)
         text += dispatch_text(variant.segments[s].dispatches[d], variant.segments[s], plan,
                               first[s] + d);

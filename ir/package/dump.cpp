@@ -75,9 +75,14 @@ void dump_binding(std::string& text, const Binding& b, const Variant& variant) {
 void dump_segment(std::string& text, const Segment& segment, const Variant& variant) {
   line(text, "  segment \"{}\" ({}): {} dispatches", segment.name,
        kSegmentNames[static_cast<uint32_t>(segment.kind)], segment.dispatches.size());
+  if (segment.tiles)
+    line(text, "    works by tiles: changes in \"{}\", work in \"{}\", tolerance {}",
+         variant.resources[segment.tiles->changes].name,
+         variant.resources[segment.tiles->work].name, segment.tiles->tolerance);
   for (const Dispatch& d : segment.dispatches) {
-    line(text, "    \"{}\": {} module {} grid {}x{}x{}", d.name, d.kernel, d.module,
-         d.workgroups[0], d.workgroups[1], d.workgroups[2]);
+    line(text, "    \"{}\": {} module {} grid {}x{}x{}{}", d.name, d.kernel, d.module,
+         d.workgroups[0], d.workgroups[1], d.workgroups[2],
+         d.command_bytes ? fmt::format(", by the command at {}", *d.command_bytes) : "");
     line(text, "      predicted {:.1f} us: {} macs, {} other ops, {} bytes read, {} written",
          d.cost.time_us, d.cost.macs, d.cost.ops, d.cost.bytes_read, d.cost.bytes_written);
     for (const Binding& binding : d.bindings) dump_binding(text, binding, variant);

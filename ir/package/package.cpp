@@ -82,14 +82,17 @@ Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
   const auto cost = fbs::CreateCost(builder, d.cost.macs, d.cost.ops, d.cost.bytes_read,
                                     d.cost.bytes_written, d.cost.time_us);
   const fbs::Grid grid(d.workgroups[0], d.workgroups[1], d.workgroups[2]);
-  return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost);
+  return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost,
+                             d.command_bytes.has_value(), d.command_bytes.value_or(0));
 }
 
 Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
   const auto name = builder.CreateString(s.name);
   const auto dispatches = write_all<fbs::Dispatch>(builder, s.dispatches, write_dispatch);
+  const auto tiles =
+      s.tiles ? fbs::CreateTiles(builder, s.tiles->changes, s.tiles->work, s.tiles->tolerance) : 0;
   return fbs::CreateSegment(builder, name, static_cast<fbs::SegmentKind>(s.kind), dispatches,
-                            s.program);
+                            s.program, tiles);
 }
 
 Offset<fbs::Module> write_module(Builder& builder, const Spirv& words) {
@@ -243,6 +246,7 @@ Dispatch read_dispatch(Copier& copy, const fbs::Dispatch& d) {
   const fbs::Cost& cost = *d.cost();
   dispatch.cost = {cost.macs(), cost.ops(), cost.bytes_read(), cost.bytes_written(),
                    cost.time_us()};
+  if (d.has_command()) dispatch.command_bytes = d.command_bytes();
   return dispatch;
 }
 
@@ -252,6 +256,8 @@ Segment read_segment(Copier& copy, const fbs::Segment& s) {
   segment.kind = static_cast<SegmentKind>(s.kind());
   segment.dispatches = copy.tables(s.dispatches(), read_dispatch);
   segment.program = s.program();
+  if (const fbs::Tiles* t = s.tiles())
+    segment.tiles = Tiles{t->changes(), t->work(), t->tolerance()};
   return segment;
 }
 
@@ -411,6 +417,27 @@ uint32_t chosen_program(const Variant& variant, std::span<const float> value) {
     nearest = i;
   }
   return nearest;
+}
+
+uint32_t command_words(const Segment& segment) {
+  uint32_t words = 0;
+  for (const Dispatch& dispatch : segment.dispatches)
+    if (dispatch.command_bytes) words = std::max(words, *dispatch.command_bytes / 4 + 3);
+  return words;
+}
+
+double share_run(const Segment& segment, std::span<const uint32_t> work) {
+  double run = 0, all = 0;
+  for (const Dispatch& dispatch : segment.dispatches) {
+    double share = 1;
+    if (dispatch.command_bytes)
+      for (size_t axis = 0; axis < 3; ++axis)
+        share *= static_cast<double>(work[*dispatch.command_bytes / 4 + axis]) /
+                 static_cast<double>(dispatch.workgroups[axis]);
+    run += share * dispatch.cost.time_us;
+    all += dispatch.cost.time_us;
+  }
+  return all > 0 ? run / all : 1;
 }
 
 uint32_t param_bytes(const Variant& variant) {

@@ -140,11 +140,15 @@ void print_frames(const Json& json, std::FILE* to) {
         frame.contains("model") ? fmt::format(", {:.1f} ms by {}", frame["frame_ms"].get<double>(),
                                               frame["model"].get<std::string>())
                                 : "";
-    fmt::print(to, "{} -> {} ({}x{}){}{}\n", frame["input"].get<std::string>(),
+    const std::string ran =
+        frame.contains("networks_run")
+            ? fmt::format(", networks {:.1f} % run", 100 * frame["networks_run"].get<double>())
+            : "";
+    fmt::print(to, "{} -> {} ({}x{}){}{}{}\n", frame["input"].get<std::string>(),
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
                frame["height"].get<uint32_t>(),
                frame.contains("network") ? ", network " + frame["network"].get<std::string>() : "",
-               timed);
+               timed, ran);
     if (frame.contains("psnr_db"))
       for (const auto& [name, value] : frame["psnr_db"].items())
         fmt::print(to, "  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());
@@ -364,6 +368,7 @@ Result<int> play(const Arguments& arguments) {
       SHALE_TRY(const Picture result, write(rendered_at, *std::move(played)));
       Json entry = entry_of(rendered_at, result);
       entry.update(timed);
+      if (const std::optional<double> share = player->share_run()) entry["networks_run"] = *share;
       if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, i));
       if (arguments.check) {
         SHALE_TRY(const std::optional<std::string> difference,

@@ -57,6 +57,8 @@ class Player {
   const Variant& variant() const { return loop_.variant(); }
   /// The program that the last frame ran.
   uint32_t program() const { return program_; }
+  /// FrameLoop::share_run of the last frame.
+  std::optional<double> share_run() const { return loop_.share_run(); }
 
   /// The next frame starts without a past. Frames with a cut do so themselves.
   void reset();

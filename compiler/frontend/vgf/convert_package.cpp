@@ -42,6 +42,10 @@ class Converter {
     if (variant_.programs.size() > 1)
       return unsupported("", "has {} programs, VGF has one sequence of segments only",
                          variant_.programs.size());
+    for (const Segment& segment : variant_.segments)
+      if (segment.tiles)
+        return unsupported(fmt::format("segment \"{}\"", segment.name),
+                           "works by tiles, by commands of the device that VGF does not have");
     for (const Param& param : variant_.params)
       if (param.source != ParamSource::kHost)
         return unsupported(fmt::format("parameter \"{}\"", param.name),
