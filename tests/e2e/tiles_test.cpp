@@ -278,11 +278,11 @@ void expect_same_pictures(const ToolDevice& device, const std::string& model,
 }
 
 TEST_F(TilesTest, OfARecurrentSandwichGiveTheSamePictures) {
-  expect_same_pictures(*device_, "nss_v1_low", "dot8-gpu", {90, 46});
+  expect_same_pictures(*device_, "nss_v1_low", "dot8-gpu", {50, 34});
 }
 
 TEST_F(TilesTest, OfASandwichWithSeveralProgramsGiveTheSamePictures) {
-  expect_same_pictures(*device_, "qrisp_s_x2", "dot8-gpu", {70, 38});
+  expect_same_pictures(*device_, "qrisp_s_x2", "dot8-gpu", {42, 22});
 }
 
 }  // namespace

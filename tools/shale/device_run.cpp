@@ -143,7 +143,10 @@ Package alone(const Package& package, const Variant& variant, const Segment& seg
   Variant& only = one.variants.front();
   only.modules = {variant.modules[dispatch.module]};
   only.segments = {{segment.name, segment.kind, {dispatch}, 0, segment.tiles}};
-  only.segments.front().dispatches.front().module = 0;
+  Dispatch& own = only.segments.front().dispatches.front();
+  own.module = 0;
+  // No other dispatch writes the command: the first cell, which a list of zeros names.
+  if (own.command_bytes) own.command_bytes.reset(), own.workgroups = {1, 1, 1};
   only.programs.resize(1);
   return one;
 }
