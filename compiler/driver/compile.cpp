@@ -8,6 +8,7 @@
 #include "compiler/frontend/frontend.h"
 #include "compiler/plan/frame_lowering.h"
 #include "compiler/plan/modules.h"
+#include "compiler/plan/reach.h"
 #include "compiler/target/caps_json.h"
 #include "ir/base/hash.h"
 #include "ir/verify/verify.h"
@@ -110,6 +111,7 @@ Result<std::string> options_text(const CompileOptions& options, const std::vecto
                                  fmt::join(options.targets, ","), options.pass_options.optimize,
                                  fmt::join(options.kernels, ","), options.optimize_spirv);
   if (!options.prefer.empty()) text += " prefer=" + options.prefer;
+  if (options.tiles) text += fmt::format(" tiles={}", *options.tiles);
   for (const auto& [target, constants] : options.constants) {
     Canonical numbers;
     for (const double ns : constants.ns) numbers.add(fmt::format("{:.17g}", ns));
@@ -203,6 +205,19 @@ Result<void> run_passes(Graph& graph, const std::string& file, const CompileOpti
   return {};
 }
 
+/// Rows that cells of the group's result should have, or 0 for none: many small ones where the picture is large, since
+/// a cell runs whole for one changed tile, but rows below each other share what they fetch (RESULTS.md).
+int64_t rows_of_cells(const Graph& graph, const Group& group, const DeviceProfile& profile) {
+  constexpr int64_t kInputRows = 32;
+  // One buffer more holds the list.
+  if (buffer_count(graph, group.nodes) >= profile.caps.max_storage_buffers) return 0;
+  int64_t input_rows = 1;
+  for (const ValueId input : graph.inputs)
+    input_rows = std::max(input_rows, extent_along(graph, input, kRowAxis));
+  return std::max<int64_t>(kInputRows * extent_along(graph, group.result, kRowAxis) / input_rows,
+                           1);
+}
+
 /// The groups as the profile can bind them.
 /// Errors: kBadInput for an accumulator that is not bounded, where that is asked for.
 Result<std::vector<GroupProblem>> group_problems(const Graph& graph, const DeviceProfile& profile,
@@ -213,6 +228,7 @@ Result<std::vector<GroupProblem>> group_problems(const Graph& graph, const Devic
     GroupProblem problem{.graph = &graph, .group = std::move(group), .proof = {}, .cost = {}};
     problem.proof = prove_ranges(graph, problem.group);
     problem.cost = group_cost(graph, problem.group);
+    if (options.tiles) problem.cell_rows = rows_of_cells(graph, problem.group, profile);
     if (std::optional<std::string> message = unproven(graph, problem)) {
       if (options.require_proof) return bad_input("--require-proof", "{}", *message);
       if (std::find(warnings.begin(), warnings.end(), *message) == warnings.end())
@@ -246,6 +262,7 @@ Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
                                    const DeviceProfile& profile, const CompileOptions& options,
                                    std::vector<std::string>& warnings) {
   PlannedGraph planned{.name = "graph", .graph = &graph};
+  planned.tile_tolerance = options.tiles;
   SHALE_TRY(planned.problems, group_problems(graph, profile, options, warnings));
   // A frame runs one of the programs that a parameter chooses among.
   const bool is_chosen = options.frame && !options.frame->chosen_by.empty();
@@ -313,6 +330,9 @@ struct Prepared {
 /// `compiled` gets warnings, timings and selections.
 Result<Prepared> plan_all(std::vector<LoadedGraph> loaded, const CompileOptions& options,
                           Compiled& compiled) {
+  if (options.tiles && *options.tiles > kMaxTileTolerance)
+    return bad_input("--tiles", "a tolerance of {} codes is above {}", *options.tiles,
+                     kMaxTileTolerance);
   for (const std::string& kernel : options.kernels)
     if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   const std::vector<std::string> files = files_of(options);

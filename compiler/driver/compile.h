@@ -35,6 +35,9 @@ struct CompileOptions {
   /// Runs over which the driver's compile time is spread; nothing is kRunsOfFrame with a frame, else
   /// kRunsOfNetwork.
   std::optional<double> expected_runs;
+  /// Networks work by tiles (Tiles in package.h), with this tolerance in codes, up to kMaxTileTolerance; nothing is the
+  /// whole picture in every run.
+  std::optional<uint32_t> tiles;
   bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
   bool optimize_spirv = true;
   std::optional<Frame> frame;  ///< with it the package holds pre and post passes too

@@ -565,6 +565,30 @@ void Codegen::epilogue(std::string& body, const Position& at, const std::string&
   }
 }
 
+void Codegen::take_cells(KernelSource& source, const std::function<Stretch(int64_t)>& column,
+                         int64_t row_height) {
+  const Shape& shape = value(problem_.group.result).type.shape;
+  if (problem_.cell_rows == 0 || shape.size() != 4) return;
+  const int64_t columns = source.workgroups[0], rows = source.workgroups[1],
+                images = source.workgroups[2];
+  const auto cells_high = [&](int64_t each) { return (rows + each - 1) / each; };
+  int64_t each = std::max<int64_t>(problem_.cell_rows / row_height, 1);
+  while (columns * cells_high(each) > kMaxWorkgroups && each < rows) ++each;
+  if (columns * cells_high(each) > kMaxWorkgroups || each * images > kMaxWorkgroups) return;
+  Cells cells;
+  for (int64_t i = 0; i < columns; ++i) cells.columns.push_back(column(i));
+  for (int64_t i = 0; i < cells_high(each); ++i)
+    cells.rows.push_back({i * each * row_height, std::min((i + 1) * each * row_height, shape[1])});
+  source.workgroups = {static_cast<uint32_t>(columns * cells_high(each)),
+                       static_cast<uint32_t>(each * images), 1};
+  source.cells = std::move(cells);
+  cell_columns_ = columns;
+  cell_rows_ = each;
+  KernelBinding work;
+  work.is_work = true;
+  bindings_.push_back(std::move(work));
+}
+
 std::string Codegen::finish(const std::string& local_size, const std::string& body) const {
   std::string text = "#version 450\n#include \"int8.glsl\"\n#include \"requantize.glsl\"\n";
   text += "#include \"integer.glsl\"\n";
@@ -575,7 +599,10 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
     const KernelBinding& binding = bindings_[i];
     const bool words = binding.view_format == ImageFormat::kR32Uint,
                quads = binding.view_format == ImageFormat::kRgba32Uint;
-    if (binding.type == BindingType::kUniformTexelBuffer)
+    if (binding.is_work)
+      text += fmt::format(
+          "layout(set = 0, binding = {}, std430) readonly buffer Work {{ uint d[]; }} work;\n", i);
+    else if (binding.type == BindingType::kUniformTexelBuffer)
       text +=
           fmt::format("layout(set = 0, binding = {0}) uniform {1}samplerBuffer t{0};\n", i,
                       words || quads || binding.view_format == ImageFormat::kR16Uint ? 'u' : 'i');
@@ -587,7 +614,15 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
           : words                            ? "uint"
                                              : memory_type(value(binding.value).type.dtype));
   }
-  return text + "\n" + functions_ + "void main() {\n" + body + "}\n";
+  text += "\n" + functions_ + "void main() {\n";
+  if (has_cells())
+    text += fmt::format(
+        "  uint cell = work.d[SHALE_LIST + gl_WorkGroupID.x];\n"
+        "  uvec3 group = uvec3(cell % {0}u, cell / {0}u * {1}u + gl_WorkGroupID.y % {1}u,\n"
+        "                      gl_WorkGroupID.y / {1}u);\n"
+        "  uvec3 place = group * gl_WorkGroupSize + gl_LocalInvocationID;\n",
+        cell_columns_, cell_rows_);
+  return text + body + "}\n";
 }
 
 }  // namespace shale

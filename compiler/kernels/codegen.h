@@ -1,6 +1,7 @@
 // compiler/kernels/codegen.h -- GLSL for the nodes of a group, shared by all kernel families.
 #pragma once
 
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -78,6 +79,17 @@ class Codegen {
   std::string finish(const std::string& local_size, const std::string& body) const;
 
   std::vector<KernelBinding> bindings() const { return bindings_; }
+
+  /// Where the problem asks for cells and there are not too many, makes `source`, whose grid is set, one that
+  /// makes the cells of a list: a column of the grid, which writes the positions that `column` tells, by
+  /// several of its rows of `row_height` positions. Before finish() and bindings(). The code then may see rows past the grid's
+  /// last one, and asks group() and invocation() where it is.
+  void take_cells(KernelSource& source, const std::function<Stretch(int64_t)>& column,
+                  int64_t row_height);
+  /// gl_WorkGroupID and gl_GlobalInvocationID of a grid without cells.
+  bool has_cells() const { return cell_columns_ != 0; }
+  const char* group() const { return has_cells() ? "group" : "gl_WorkGroupID"; }
+  const char* invocation() const { return has_cells() ? "place" : "gl_GlobalInvocationID"; }
   void use_int64() { int64_ = true; }
   /// Reads constant int8 tables through texel buffers, which CPU drivers do for all lanes at once.
   void read_tables_as_texels() { texel_tables_ = true; }
@@ -133,6 +145,7 @@ class Codegen {
   bool real_ = false;
   bool texel_tables_ = false;
   uint64_t most_texels_ = 0;
+  int64_t cell_columns_ = 0, cell_rows_ = 1;  ///< 0 columns: no cells; rows of the grid in a cell
 };
 
 }  // namespace shale

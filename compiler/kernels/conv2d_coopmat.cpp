@@ -102,10 +102,14 @@ class CoopmatEmitter {
     declare_stage();
     conv_.declare_finish(codegen_, weights, chunks_ * tile_.steps * blocks() * tile_.lines());
     KernelSource source;
-    source.glsl = codegen_.finish(fmt::format("local_size_x = {}", tile_.subgroup), body());
     const std::array<int64_t, 3> grid = workgroups();
     std::transform(grid.begin(), grid.end(), source.workgroups.begin(),
                    [](int64_t extent) { return static_cast<uint32_t>(extent); });
+    const auto column = [&](int64_t i) {
+      return Stretch{i * tile_.pixels(), std::min((i + 1) * tile_.pixels(), conv_.out()[2])};
+    };
+    codegen_.take_cells(source, column, 1);
+    source.glsl = codegen_.finish(fmt::format("local_size_x = {}", tile_.subgroup), body());
     source.bindings = codegen_.bindings();
     source.optimize = OptimizeBy::kNothing;  // spirv-opt does not know the instructions
     return source;
@@ -191,10 +195,11 @@ class CoopmatEmitter {
     const int64_t words = tile_.chunk_words(), pieces = words / run(), quads = tile_.n / 4;
     std::string text = fmt::format(
         "  int lane = int(gl_LocalInvocationID.x);\n"
-        "  int x = int(gl_WorkGroupID.x) * {};\n  int y = int(gl_WorkGroupID.y);\n"
-        "  int n = int(gl_WorkGroupID.z) / {};\n"
-        "  int block = int(gl_WorkGroupID.z) % {} * {};\n",
-        tile_.pixels(), slices_.count, slices_.count, slices_.blocks);
+        "  int x = int({0}.x) * {1};\n  int y = int({0}.y);\n  int n = int({0}.z) / {2};\n"
+        "  int block = int({0}.z) % {2} * {3};\n",
+        codegen_.group(), tile_.pixels(), slices_.count, slices_.blocks);
+    // The same for all of the subgroup, whose barriers are for all.
+    if (codegen_.has_cells()) text += fmt::format("  if (y >= {}) return;\n", conv_.out()[1]);
     const auto each = [&](auto write) {
       for (int64_t row = 0; row < tile_.rows; ++row)
         for (int64_t b = 0; b < slices_.blocks; ++b) text += write(row, b);

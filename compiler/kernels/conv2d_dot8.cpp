@@ -51,11 +51,15 @@ class Dot8Emitter {
     codegen_.add_function("#include \"dot8.glsl\"\n\n");
     conv_.declare_inputs(codegen_);
     conv_.declare_finish(codegen_, weights_, vectors);
-    const std::string body = sums() + results();
     KernelSource source;
-    source.glsl =
-        codegen_.finish(fmt::format("local_size_x = {0}, local_size_y = {0}", kLocal), body);
     source.workgroups = workgroups();
+    const auto column = [&](int64_t i) {
+      const int64_t width = tile_.pixels * kLocal;
+      return Stretch{i * width, std::min((i + 1) * width, conv_.out()[2])};
+    };
+    codegen_.take_cells(source, column, kLocal);
+    source.glsl = codegen_.finish(fmt::format("local_size_x = {0}, local_size_y = {0}", kLocal),
+                                  sums() + results());
     source.bindings = codegen_.bindings();
     return source;
   }
@@ -95,10 +99,9 @@ class Dot8Emitter {
     const std::span<const int64_t> pad = conv_.list(Attr::kPad), stride = conv_.list(Attr::kStride),
                                    dilation = conv_.list(Attr::kDilation);
     std::string text = fmt::format(
-        "  int x = int(gl_GlobalInvocationID.x) * {};\n  int y = int(gl_GlobalInvocationID.y);\n"
-        "  int n = int(gl_GlobalInvocationID.z) / {};\n"
-        "  int block = int(gl_GlobalInvocationID.z) % {};\n  if (x >= {} || y >= {}) return;\n",
-        tile_.pixels, blocks_, blocks_, out[2], out[1]);
+        "  int x = int({0}.x) * {1};\n  int y = int({0}.y);\n  int n = int({0}.z) / {2};\n"
+        "  int block = int({0}.z) % {2};\n  if (x >= {3} || y >= {4}) return;\n",
+        codegen_.invocation(), tile_.pixels, blocks_, out[2], out[1]);
     for (int64_t p = 0; p < tile_.pixels; ++p) {
       for (int64_t q = 0; q < quads(); ++q)
         text += fmt::format("  ivec4 a{}_{} = ivec4(0);\n", p, q);

@@ -70,10 +70,15 @@ class LoopEmitter {
     for (size_t i = 0; i < conv_.parts().size(); ++i) declare_part(i);
     conv_.declare_finish(codegen_, bias_at, 0);
     KernelSource source;
-    source.glsl = codegen_.finish(fmt::format("local_size_x = {}", kLocal), body());
     source.workgroups = {static_cast<uint32_t>(workgroups_x()),
                          static_cast<uint32_t>(conv_.out()[1]),
                          static_cast<uint32_t>(conv_.out()[0])};
+    const auto column = [&](int64_t i) {
+      return Stretch{i * kLocal / blocks_ * pixels_,
+                     std::min((((i + 1) * kLocal - 1) / blocks_ + 1) * pixels_, conv_.out()[2])};
+    };
+    codegen_.take_cells(source, column, 1);
+    source.glsl = codegen_.finish(fmt::format("local_size_x = {}", kLocal), body());
     source.bindings = codegen_.bindings();
     return source;
   }
@@ -159,10 +164,11 @@ class LoopEmitter {
     const std::span<const int64_t> pad = conv_.list(Attr::kPad), stride = conv_.list(Attr::kStride),
                                    dilation = conv_.list(Attr::kDilation);
     std::string text = fmt::format(
-        "  int id = int(gl_GlobalInvocationID.x);\n  int block = id % {};\n  int x = id / {} * "
-        "{};\n  int y = int(gl_GlobalInvocationID.y);\n  int n = int(gl_GlobalInvocationID.z);\n"
-        "  if (x >= {}) return;\n",
-        blocks_, blocks_, pixels_, out[2]);
+        "  int id = int({0}.x);\n  int block = id % {1};\n  int x = id / {1} * "
+        "{2};\n  int y = int({0}.y);\n  int n = int({0}.z);\n"
+        "  if (x >= {3}) return;\n",
+        codegen_.invocation(), blocks_, pixels_, out[2]);
+    if (codegen_.has_cells()) text += fmt::format("  if (y >= {}) return;\n", out[1]);
     text += declare_sums(sums_fit() ? "vec4" : "ivec4", "a");
     std::string taps =
         fmt::format("  int iy = y * {} - {} + ky * {}, ix = x * {} - {} + kx * {};\n", stride[0],

@@ -417,6 +417,19 @@ WorkTable generic_work(const GroupProblem& problem, const DeviceProfile&) {
 
 namespace {
 
+/// One local for each dimension keeps the expressions short.
+/// The last one may count runs of `length`.
+void name_coordinates(Position& at, std::string& body, int64_t length = 1) {
+  for (size_t i = 0; i < at.coords.size(); ++i) {
+    const bool is_run = length > 1 && i + 1 == at.coords.size();
+    if (at.coords[i] == "0" && !is_run) continue;
+    const std::string name = fmt::format("o{}", i);
+    body += is_run ? fmt::format("  int {} = {} * {};\n", name, at.coords[i], length)
+                   : fmt::format("  int {} = {};\n", name, at.coords[i]);
+    at.coords[i] = name;
+  }
+}
+
 /// One invocation for each run of `length` elements of `shape`, numbered from 0: `body` starts with the position of
 /// its elements, the names of which are returned.
 std::vector<Position> grid_over(const Shape& shape, int64_t length, std::string& body,
@@ -432,18 +445,36 @@ std::vector<Position> grid_over(const Shape& shape, int64_t length, std::string&
       "  if (invocation >= {}u) return;\n  int index = int(invocation);\n",
       groups_x * kLocalSize, count);
   Position at = Codegen::split("index", runs);
-  // One named local per dimension keeps the expressions below short.
-  for (size_t i = 0; i < at.coords.size(); ++i) {
-    const bool is_run = length > 1 && i + 1 == at.coords.size();
-    if (at.coords[i] == "0" && !is_run) continue;
-    const std::string name = fmt::format("o{}", i);
-    body += is_run ? fmt::format("  int {} = {} * {};\n", name, at.coords[i], length)
-                   : fmt::format("  int {} = {};\n", name, at.coords[i]);
-    at.coords[i] = name;
-  }
+  name_coordinates(at, body, length);
   source.workgroups = {static_cast<uint32_t>(groups_x), static_cast<uint32_t>(groups_y), 1};
   if (length == 1) return {at};
   return Position::run_at(at.coords, at.coords.back(), length);
+}
+
+/// The same of the cells of a list, each a workgroup's elements of a row by some rows. Nothing where there are no cells.
+std::optional<KernelSource> grid_of_cells(Codegen& codegen, const Shape& shape, Position& at,
+                                          std::string& body) {
+  if (shape.size() != 4) return std::nullopt;
+  const int64_t row = shape[2] * shape[3], groups = (row + kLocalSize - 1) / kLocalSize;
+  if (std::max({groups, shape[0], shape[1]}) > kMaxWorkgroups) return std::nullopt;
+  KernelSource source;
+  source.workgroups = {static_cast<uint32_t>(groups), static_cast<uint32_t>(shape[1]),
+                       static_cast<uint32_t>(shape[0])};
+  const auto column = [&](int64_t i) {
+    const int64_t end = std::min((i + 1) * kLocalSize, row);
+    return Stretch{i * kLocalSize / shape[3], (end - 1) / shape[3] + 1};
+  };
+  codegen.take_cells(source, column, 1);
+  if (!source.cells) return std::nullopt;
+  body = fmt::format(
+      "  if (place.x >= {}u || place.y >= {}u) return;\n"
+      "  int index = int((place.z * {}u + place.y) * {}u + place.x);\n",
+      row, shape[1], shape[1], row);
+  at = {.coords = {"int(place.z)", "int(place.y)", fmt::format("int(place.x) / {}", shape[3]),
+                   fmt::format("int(place.x) % {}", shape[3])},
+        .linear = "index"};
+  name_coordinates(at, body);
+  return source;
 }
 
 void finish(KernelSource& source, const Codegen& codegen, const std::string& body) {
@@ -504,10 +535,15 @@ int64_t longest_run(const GroupProblem& problem) {
 /// One invocation for `length` elements of the group's result next to each other.
 KernelSource emit_runs(const GroupProblem& problem, Codegen& codegen, int64_t length) {
   const Node& last = problem.graph->node(problem.group.nodes.back());
+  const Shape& shape = codegen.value(problem.group.result).type.shape;
   std::string body;
   KernelSource source;
-  const std::vector<Position> run =
-      grid_over(codegen.value(problem.group.result).type.shape, length, body, source);
+  std::vector<Position> run{{}};
+  if (std::optional<KernelSource> cells;
+      length == 1 && (cells = grid_of_cells(codegen, shape, run[0], body)))
+    source = *std::move(cells);
+  else
+    run = grid_over(shape, length, body, source);
   if (length > 1) body += fmt::format("  uint none = uint(index >= {});\n", INT32_MAX);
   if (problem.group.head)
     body += HeadEmitter(codegen, problem.graph->node(*problem.group.head), run).emit();

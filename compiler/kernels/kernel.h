@@ -23,6 +23,19 @@ struct KernelBinding {
   bool writes = false;
   /// Data of the kernel's own instead of a value: a storage buffer of uvec4, whole ones.
   std::vector<uint8_t> constant = {};
+  bool is_work = false;  ///< Tiles::work instead of a value
+};
+
+/// Positions [begin, end) along an axis of a picture.
+struct Stretch {
+  int64_t begin = 0, end = 0;
+  bool operator==(const Stretch&) const = default;
+};
+
+/// What the workgroups of a kernel make that finds the cell to make in a list, number column + row * columns: the
+/// grid is {number of cells, workgroups of a cell, 1}.
+struct Cells {
+  std::vector<Stretch> columns, rows;  ///< of the result that a column or row of cells may write
 };
 
 /// What is done to a kernel's SPIR-V.
@@ -38,6 +51,9 @@ struct KernelSource {
   std::array<uint32_t, 3> workgroups{1, 1, 1};
   std::vector<KernelBinding> bindings;
   OptimizeBy optimize = OptimizeBy::kSpirvOpt;
+  /// Nothing: every run makes the whole result. Else the code takes the macro SHALE_LIST, words from the
+  /// start of Tiles::work to its list.
+  std::optional<Cells> cells = std::nullopt;
 };
 
 /// A group to be compiled, with what selection needs to know about it.
@@ -46,6 +62,8 @@ struct GroupProblem {
   Group group;
   std::optional<RangeProof> proof;  ///< for convolutions with constant weights and bias
   Cost cost;                        ///< without time
+  /// If not 0, families may make the cells of a list, of about as many rows of the result.
+  int64_t cell_rows = 0;
 };
 
 struct KernelFamily {

@@ -380,9 +380,17 @@ int64_t literal_lanes(int64_t grid_x) { return ceil_div(grid_x, 8) * 8; }
 
 int64_t LiteralConv::row_parts(const Tiling& tiling) const {
   const auto [height, width] = tiles(tiling);
+  if (problem_.cell_rows != 0) return ceil_div(height, cell_tiles(tiling));
   const int64_t columns = out()[0] * ceil_div(width, local_x(width));
   return std::min(std::max(ceil_div(height, kMostRows), ceil_div(kLeastWorkgroups, columns)),
                   height);
+}
+
+int64_t LiteralConv::cell_tiles(const Tiling& tiling) const {
+  const auto [height, width] = tiles(tiling);
+  const int64_t columns = ceil_div(width, local_x(width));
+  return std::max({problem_.cell_rows / tiling.tile_height, int64_t{1},
+                   ceil_div(height, std::max<int64_t>(kMaxWorkgroups / columns, 1))});
 }
 
 double LiteralConv::fetches(const Tiling& tiling, std::array<int64_t, 2> channels) const {
@@ -410,7 +418,10 @@ std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body
   }
   // Unsigned: both factors may have 16 bits.
   const auto border = [&](const char* part) {
-    return loop ? fmt::format("int({} * {}u / {}u)", part, height, parts) : "y";
+    if (!loop) return std::string("y");
+    if (problem_.cell_rows != 0)
+      return fmt::format("int(min({} * {}u, {}u))", part, cell_tiles(tiling), height);
+    return fmt::format("int({} * {}u / {}u)", part, height, parts);
   };
   const std::string start = fmt::format("  {{\n  int row = {}, iy = row * {}, ix = x * {};\n",
                                         border("uint(y)"), tiling.step_y, tiling.step_x);
@@ -433,17 +444,21 @@ bool LiteralConv::fits_grid(const Tiling& tiling) const {
 }
 
 KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) {
-  const auto [height, width] = tiles(tiling);
+  const int64_t width = tiles(tiling)[1], local = local_x(width);
   KernelSource source;
-  source.glsl = codegen_.finish(
-      fmt::format("local_size_x = {}", local_x(width)),
-      fmt::format("  int x = int(gl_GlobalInvocationID.x);\n  int y = "
-                  "int(gl_GlobalInvocationID.y);\n  int n = int(gl_GlobalInvocationID.z);\n"
-                  "  if (x >= {}) return;\n  uint none = uint(x >= {});\n",
-                  width, INT32_MAX) +
-          body);
-  source.workgroups = {static_cast<uint32_t>(ceil_div(width, local_x(width))),
+  source.workgroups = {static_cast<uint32_t>(ceil_div(width, local)),
                        static_cast<uint32_t>(row_parts(tiling)), static_cast<uint32_t>(out()[0])};
+  const auto column = [&](int64_t i) {
+    return Stretch{i * local * tiling.tile_width,
+                   std::min((i + 1) * local * tiling.tile_width, out()[2])};
+  };
+  codegen_.take_cells(source, column, cell_tiles(tiling) * tiling.tile_height);
+  source.glsl = codegen_.finish(
+      fmt::format("local_size_x = {}", local),
+      fmt::format("  int x = int({0}.x);\n  int y = int({0}.y);\n  int n = int({0}.z);\n"
+                  "  if (x >= {1}) return;\n  uint none = uint(x >= {2});\n",
+                  codegen_.invocation(), width, INT32_MAX) +
+          body);
   source.bindings = codegen_.bindings();
   source.optimize = OptimizeBy::kForwarding;
   return source;

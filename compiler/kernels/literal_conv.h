@@ -112,6 +112,8 @@ class LiteralConv {
                         std::array<int64_t, 2> channels);
   /// Parts of the rows of tiles, even ones: an invocation makes all tiles of its column in one part.
   int64_t row_parts(const Tiling& tiling) const;
+  /// Rows of tiles of a cell, where the problem asks for cells.
+  int64_t cell_tiles(const Tiling& tiling) const;
   /// Fetches for a tile of one such loop over `channels`, on average.
   double fetches(const Tiling& tiling, std::array<int64_t, 2> channels) const;
   /// Tiles along y and x.

@@ -1,7 +1,7 @@
 #include <algorithm>
 
 #include "compiler/cost/cost.h"
-#include "compiler/plan/plan.h"
+#include "compiler/plan/tile_plan.h"
 #include "ir/base/hash.h"
 #include "ir/base/parallel.h"
 
@@ -84,6 +84,18 @@ class Tensors {
     for (const ValueId id : graph_.outputs) known(id);
   }
 
+  /// What dispatches bind for a graph input from now on.
+  void replace(ValueId input, uint32_t resource) { index_[input] = resource; }
+
+  /// A tensor of the segment's own, which no value is.
+  uint32_t own(std::string name, DType dtype, Shape shape, Category category) {
+    Resource resource = tensor_resource({"", {dtype, std::move(shape)}, {}}, "", category);
+    resource.name = std::move(name);
+    while (graph_.find_value(resource.name) || find_resource(plan_, resource.name))
+      resource.name += '#';
+    return add(std::move(resource));
+  }
+
   uint32_t of(ValueId id) {
     const auto found = index_.find(id);
     if (found != index_.end()) return found->second;
@@ -97,16 +109,10 @@ class Tensors {
 
   /// Constants as one kernel wants them: a tensor of bytes of its own.
   uint32_t packed(const std::vector<uint8_t>& bytes, const std::string& dispatch) {
-    Resource resource;
-    resource.name = dispatch + "#packed";
-    while (graph_.find_value(resource.name) || find_resource(plan_, resource.name))
-      resource.name += '#';
-    resource.category = Category::kWeights;
-    resource.dtype = DType::kInt8;
-    resource.shape = {static_cast<int64_t>(bytes.size())};
-    resource.size_bytes = bytes.size();
-    resource.offset_bytes = weights_.add(bytes);
-    return add(std::move(resource));
+    const uint32_t index = own(dispatch + "#packed", DType::kInt8,
+                               {static_cast<int64_t>(bytes.size())}, Category::kWeights);
+    plan_.variant.resources[index].offset_bytes = weights_.add(bytes);
+    return index;
   }
 
  private:
@@ -140,6 +146,125 @@ Binding planned_binding(uint32_t number, const KernelBinding& from, uint32_t res
           .frames_back = 0};
 }
 
+Binding buffer_binding(uint32_t number, uint32_t resource, bool reads, bool writes) {
+  return {.binding = number,
+          .type = BindingType::kStorageBuffer,
+          .resource = resource,
+          .view_format = ImageFormat::kNone,
+          .reads = reads,
+          .writes = writes,
+          .frames_back = 0};
+}
+
+/// Adds to the segment what finds out which cells run, in front of the network's dispatches, and gives these their
+/// commands; from then on they read copies of the inputs.
+class TileDispatches {
+ public:
+  TileDispatches(Plan& plan, const PlannedGraph& graph, Tensors& tensors, Segment& segment,
+                 const DeviceProfile& profile, std::span<const CommandedDispatch> commanded)
+      : plan_(plan),
+        graph_(graph),
+        tensors_(tensors),
+        segment_(segment),
+        profile_(profile),
+        tiles_(plan_tiles(*graph.graph, commanded)) {}
+
+  void add() {
+    const Graph& graph = *graph_.graph;
+    const auto words = [&](const char* name, uint32_t count) {
+      return kept(name, DType::kInt32, {int64_t{count}});
+    };
+    const uint32_t changes = words(".changes", tiles_.change_words),
+                   work = words(".work", tiles_.work_words);
+    segment_.tiles = Tiles{changes, work, *graph_.tile_tolerance};
+    std::vector<uint8_t> bytes(tiles_.tables.size() * sizeof(uint32_t));
+    for (size_t i = 0; i < bytes.size(); ++i)  // as a device reads them
+      bytes[i] = static_cast<uint8_t>(tiles_.tables[i / 4] >> (8 * (i % 4)));
+    const uint32_t tables = tensors_.packed(bytes, segment_.name + ".tiles");
+
+    std::vector<uint32_t> now, copies;
+    for (const ValueId input : graph.inputs) {
+      const TensorType& type = graph.value(input).type;
+      now.push_back(tensors_.of(input));
+      copies.push_back(kept("." + graph.value(input).name + ".kept", type.dtype, type.shape));
+    }
+    for (size_t i = 0; i < tiles_.inputs.size(); ++i) {
+      const InputTiles& own = tiles_.inputs[i];
+      const bool is_int8 = graph.value(graph.inputs[i]).type.dtype == DType::kInt8;
+      const std::array<uint32_t, 3> grid{groups(own.columns), static_cast<uint32_t>(own.rows), 1};
+      add_dispatch(
+          i, "compare", "tiles_compare", grid,
+          compare_source(own, is_int8 ? *graph_.tile_tolerance : 0),
+          {buffer_binding(0, now[i], true, false), buffer_binding(1, copies[i], true, false),
+           buffer_binding(2, changes, true, true)});
+    }
+    add_dispatch(0, "find", "tiles_find",
+                 {groups(tiles_.most_cells), static_cast<uint32_t>(tiles_.lists.size()), 1},
+                 find_source(tiles_),
+                 {buffer_binding(0, tables, true, false), buffer_binding(1, changes, true, false),
+                  buffer_binding(2, work, true, true)});
+    for (size_t i = 0; i < tiles_.inputs.size(); ++i) {
+      const InputTiles& own = tiles_.inputs[i];
+      add_dispatch(
+          i, "keep", "tiles_keep", {static_cast<uint32_t>(own.columns * own.rows), 1, 1},
+          keep_source(own, tiles_.lists[i]),
+          {buffer_binding(0, now[i], true, false), buffer_binding(1, copies[i], false, true),
+           buffer_binding(2, work, true, false)});
+      segment_.dispatches.back().command_bytes = 4 * TilePlan::command(i);
+      tensors_.replace(graph.inputs[i], copies[i]);
+    }
+  }
+
+  uint32_t work() const { return segment_.tiles->work; }
+  /// Of the dispatch with this number among those that run by commands.
+  uint32_t command_bytes(size_t index) const {
+    return 4 * TilePlan::command(tiles_.inputs.size() + index);
+  }
+  uint32_t list(size_t index) const { return tiles_.lists[tiles_.inputs.size() + index]; }
+
+ private:
+  static uint32_t groups(int64_t invocations) {
+    return static_cast<uint32_t>((invocations + kTileLocalX - 1) / kTileLocalX);
+  }
+
+  uint32_t kept(const std::string& name, DType dtype, Shape shape) {
+    const uint32_t index =
+        tensors_.own(segment_.name + name, dtype, std::move(shape), Category::kIntermediate);
+    plan_.live.emplace(index, LiveInterval{0, kAlways, plan_.variant.resources[index].size_bytes});
+    return index;
+  }
+
+  void add_dispatch(size_t input, const char* name, const char* kernel,
+                    std::array<uint32_t, 3> grid, ModuleSource source,
+                    std::vector<Binding> bindings) {
+    Dispatch dispatch;
+    dispatch.name = dispatch_name(plan_, *graph_.graph, segment_.name + "." + name, input);
+    dispatch.kernel = kernel;
+    dispatch.workgroups = grid;
+    dispatch.bindings = std::move(bindings);
+    for (const Binding& binding : dispatch.bindings) {
+      const uint64_t bytes = plan_.variant.resources[binding.resource].size_bytes;
+      if (binding.reads) dispatch.cost.bytes_read += bytes;
+      if (binding.writes) dispatch.cost.bytes_written += bytes;
+    }
+    WorkTable work{};
+    work[Work::kDispatch] = 1;
+    work[Work::kByte] = static_cast<double>(dispatch.cost.bytes_read + dispatch.cost.bytes_written);
+    dispatch.cost.time_us = work_time_us(work, profile_.ns);
+    plan_.work.push_back(work);
+    dispatch.module = static_cast<uint32_t>(plan_.sources.size());
+    plan_.sources.push_back(std::move(source));
+    segment_.dispatches.push_back(std::move(dispatch));
+  }
+
+  Plan& plan_;
+  const PlannedGraph& graph_;
+  Tensors& tensors_;
+  Segment& segment_;
+  const DeviceProfile& profile_;
+  TilePlan tiles_;
+};
+
 }  // namespace
 
 Result<void> plan_interface(Plan& plan, const PlannedGraph& graph) {
@@ -172,10 +297,18 @@ Result<void> plan_interface(Plan& plan, const PlannedGraph& graph) {
 
 Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
                         const DeviceProfile& profile, WeightBlob& weights) {
+  // A result of which earlier frames' are kept lies elsewhere in every run, so all of it is made.
+  const auto is_always_made = [&](const GroupProblem& problem) {
+    const Resource* result =
+        find_resource(plan, interface_name(graph, graph.graph->value(problem.group.result).name));
+    return !graph.tile_tolerance || (result && result->history_depth != 0);
+  };
   std::vector<Result<std::vector<KernelSource>>> groups(graph.problems.size(),
                                                         std::vector<KernelSource>{});
   parallel_for(groups.size(), [&](size_t i) {
-    groups[i] = graph.selection.families[i]->emit(graph.problems[i], profile);
+    GroupProblem problem = graph.problems[i];
+    if (is_always_made(problem)) problem.cell_rows = 0;
+    groups[i] = graph.selection.families[i]->emit(problem, profile);
   });
   Segment segment;
   segment.name = graph.name;
@@ -190,6 +323,18 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
   for (const Segment& before : plan.variant.segments)
     number += static_cast<uint32_t>(before.dispatches.size());
   Tensors tensors(plan, graph, weights);
+  std::optional<TileDispatches> tiles;
+  if (graph.tile_tolerance) {
+    std::vector<CommandedDispatch> commanded;
+    for (size_t i = 0; i < groups.size(); ++i)
+      if (groups[i] && !is_always_made(graph.problems[i]))
+        for (const KernelSource& source : *groups[i])
+          commanded.push_back({graph.problems[i].group.result, source.workgroups, source.cells});
+    tiles.emplace(plan, graph, tensors, segment, profile, commanded);
+    tiles->add();
+    number += static_cast<uint32_t>(segment.dispatches.size());
+  }
+  size_t commands = 0;
   std::map<std::string, uint32_t> known;  // equal sources are compiled once
   for (uint32_t i = 0; i < plan.sources.size(); ++i) known.emplace(plan.sources[i].glsl, i);
   for (size_t i = 0; i < groups.size(); ++i) {
@@ -209,25 +354,36 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
       dispatch.workgroups = source.workgroups;
       dispatch.cost = share(problem.cost, work_time_us(work, profile.ns), sources.size());
       plan.work.push_back(work);
+      Defines defines;
+      if (tiles && !is_always_made(problem)) {
+        dispatch.command_bytes = tiles->command_bytes(commands);
+        if (source.cells)
+          defines.emplace_back("SHALE_LIST", fmt::format("{}", tiles->list(commands)));
+        ++commands;
+      }
+      const std::string key = defines.empty() ? source.glsl : defines[0].second + source.glsl;
       const auto [entry, is_new] =
-          known.try_emplace(source.glsl, static_cast<uint32_t>(plan.sources.size()));
+          known.try_emplace(key, static_cast<uint32_t>(plan.sources.size()));
       if (is_new)
         plan.sources.push_back({.glsl = std::move(source.glsl),
                                 .optimize = source.optimize,
-                                .defines = {},
+                                .defines = std::move(defines),
                                 .where = dispatch.name,
                                 .load = {}});
       dispatch.module = entry->second;
       for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
         const KernelBinding& from = source.bindings[binding];
-        const uint32_t resource = from.constant.empty()
+        const uint32_t resource = from.is_work ? tiles->work()
+                                  : from.constant.empty()
                                       ? tensors.of(from.value)
                                       : tensors.packed(from.constant, dispatch.name);
         dispatch.bindings.push_back(planned_binding(binding, from, resource));
         const Resource& bound = plan.variant.resources[resource];
-        if (bound.category == Category::kIntermediate)
-          plan.live.try_emplace(resource, LiveInterval{number, number, bound.size_bytes})
-              .first->second.last = number;
+        if (bound.category != Category::kIntermediate) continue;
+        uint32_t& last =
+            plan.live.try_emplace(resource, LiveInterval{number, number, bound.size_bytes})
+                .first->second.last;
+        last = graph.tile_tolerance ? kAlways : number;
       }
       ++number;
       segment.dispatches.push_back(std::move(dispatch));

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -18,10 +19,13 @@ struct ModuleSource {
   std::string glsl;
   OptimizeBy optimize = OptimizeBy::kSpirvOpt;
   Defines defines;
-  std::string where;   ///< names it in messages
-  IncludeLoader load;  ///< beside shaders/include
+  std::string where;           ///< names it in messages
+  IncludeLoader load;          ///< beside shaders/include
   std::string accessors = {};  ///< of a pass: what `load` gives for them
 };
+
+/// LiveInterval::last of what has to keep its place for good.
+inline constexpr uint32_t kAlways = UINT32_MAX - 1;
 
 /// A variant whose modules are still sources: Dispatch::module counts `sources`. Everything else is final: resources with
 /// their places, programs, segments, grids, bindings, costs.
@@ -58,6 +62,8 @@ struct PlannedGraph {
   /// theirs.
   bool is_alternative = false;
   std::string suffix = {};
+  /// Work by tiles, with this Tiles::tolerance; the problems ask for cells.
+  std::optional<uint32_t> tile_tolerance = {};
 };
 
 /// Adds the inputs and outputs of a graph as resources. One that another graph of the package has under the same name is

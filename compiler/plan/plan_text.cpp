@@ -56,6 +56,7 @@ std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, cons
     text += fmt::format(" or none, by words {} to {} of {}", dispatch.indirect->first,
                         dispatch.indirect->first + 2,
                         plan.variant.resources[dispatch.indirect->resource].name);
+  if (dispatch.command_bytes) text += fmt::format(" by command at {}", *dispatch.command_bytes);
   text += '\n';
   for (const Binding& binding : dispatch.bindings)
     text += fmt::format(
@@ -83,8 +84,10 @@ std::string print_plan(const Plan& plan) {
     text += fmt::format("  {}: {} {}", resource.name, category_name(resource.category),
                         resource_line(resource));
     if (const auto live = plan.live.find(i); live != plan.live.end())
-      text += fmt::format(", at {}, live {} to {}", resource.offset_bytes, live->second.first,
-                          live->second.last);
+      text += live->second.last == kAlways
+                  ? fmt::format(", at {}, kept", resource.offset_bytes)
+                  : fmt::format(", at {}, live {} to {}", resource.offset_bytes, live->second.first,
+                                live->second.last);
     text += '\n';
   }
   text += fmt::format("arena {} bytes\n", variant.arena_bytes);
@@ -104,6 +107,9 @@ std::string print_plan(const Plan& plan) {
     text += '\n';
     for (size_t s = 0; s < variant.segments.size(); ++s) {
       if (variant.segments[s].program != program) continue;
+      if (const std::optional<Tiles>& tiles = variant.segments[s].tiles)
+        text += fmt::format("  {} by tiles, tolerance {}\n", variant.segments[s].name,
+                            tiles->tolerance);
       for (size_t d = 0; d < variant.segments[s].dispatches.size(); ++d)
         text += dispatch_text(variant.segments[s].dispatches[d], variant.segments[s], plan,
                               first[s] + d);

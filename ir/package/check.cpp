@@ -298,6 +298,38 @@ Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
   return {};
 }
 
+/// What a segment finds out about its inputs, and the commands by which its dispatches run.
+Result<void> check_tiles(const std::string& where, const Segment& segment, const Variant& variant) {
+  uint64_t work_bytes = 0;
+  if (segment.tiles) {
+    if (segment.kind != SegmentKind::kGraph)
+      return bad_input(where, "works by tiles, which only graph segments can");
+    if (segment.tiles->tolerance > kMaxTileTolerance)
+      return bad_input(where, "a tolerance of {} codes is above {}", segment.tiles->tolerance,
+                       kMaxTileTolerance);
+    for (const uint32_t index : {segment.tiles->changes, segment.tiles->work}) {
+      if (index >= variant.resources.size())
+        return bad_input(where, "resource {} of its tiles does not exist, there are {}", index,
+                         variant.resources.size());
+      const Resource& resource = variant.resources[index];
+      if (resource.category != Category::kIntermediate || resource.dtype != DType::kInt32)
+        return bad_input(where, "\"{}\" of its tiles is no intermediate tensor of INT32",
+                         resource.name);
+    }
+    work_bytes = variant.resources[segment.tiles->work].size_bytes;
+  }
+  for (const Dispatch& dispatch : segment.dispatches) {
+    if (!dispatch.command_bytes) continue;
+    const std::string at = fmt::format("{}, dispatch \"{}\"", where, dispatch.name);
+    if (!segment.tiles) return bad_input(at, "has a command, and its segment has no tiles");
+    if (*dispatch.command_bytes % 4 != 0 || uint64_t{*dispatch.command_bytes} + 12 > work_bytes)
+      return bad_input(at, "a command at byte {} is unaligned or leaves the {} bytes of \"{}\"",
+                       *dispatch.command_bytes, work_bytes,
+                       variant.resources[segment.tiles->work].name);
+  }
+  return {};
+}
+
 Result<void> check_proof(const std::string& where, const RangeProof& proof) {
   if (proof.min.size() != proof.max.size() || proof.min.size() != proof.magnitude.size())
     return bad_input(where, "{} minima, {} maxima and {} magnitudes, expected as many of each",
@@ -581,6 +613,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
       SHALE_TRY_VOID(check_dispatch(fmt::format("{}, dispatch \"{}\"", where, dispatch.name),
                                     dispatch, variant, segment.kind));
     }
+    SHALE_TRY_VOID(check_tiles(at, segment, variant));
   }
   SHALE_TRY_VOID(check_programs(where, variant));
   SHALE_TRY_VOID(check_params(where, variant));

@@ -75,9 +75,14 @@ void dump_binding(std::string& text, const Binding& b, const Variant& variant) {
 void dump_segment(std::string& text, const Segment& segment, const Variant& variant) {
   line(text, "  segment \"{}\" ({}): {} dispatches", segment.name,
        kSegmentNames[static_cast<uint32_t>(segment.kind)], segment.dispatches.size());
+  if (segment.tiles)
+    line(text, "    works by tiles: changes in \"{}\", work in \"{}\", tolerance {}",
+         variant.resources[segment.tiles->changes].name,
+         variant.resources[segment.tiles->work].name, segment.tiles->tolerance);
   for (const Dispatch& d : segment.dispatches) {
-    line(text, "    \"{}\": {} module {} grid {}x{}x{}", d.name, d.kernel, d.module,
-         d.workgroups[0], d.workgroups[1], d.workgroups[2]);
+    line(text, "    \"{}\": {} module {} grid {}x{}x{}{}", d.name, d.kernel, d.module,
+         d.workgroups[0], d.workgroups[1], d.workgroups[2],
+         d.command_bytes ? fmt::format(", by the command at {}", *d.command_bytes) : "");
     if (d.indirect)
       line(text, "      as many as words {}..{} of \"{}\" say", d.indirect->first,
            d.indirect->first + 2, variant.resources[d.indirect->resource].name);

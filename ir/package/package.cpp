@@ -86,14 +86,17 @@ Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
   const fbs::IndirectGrid indirect =
       d.indirect ? fbs::IndirectGrid(d.indirect->resource, d.indirect->first) : fbs::IndirectGrid();
   return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost,
-                             d.indirect ? &indirect : nullptr);
+                             d.indirect ? &indirect : nullptr, d.command_bytes.has_value(),
+                             d.command_bytes.value_or(0));
 }
 
 Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
   const auto name = builder.CreateString(s.name);
   const auto dispatches = write_all<fbs::Dispatch>(builder, s.dispatches, write_dispatch);
+  const auto tiles =
+      s.tiles ? fbs::CreateTiles(builder, s.tiles->changes, s.tiles->work, s.tiles->tolerance) : 0;
   return fbs::CreateSegment(builder, name, static_cast<fbs::SegmentKind>(s.kind), dispatches,
-                            s.program);
+                            s.program, tiles);
 }
 
 Offset<fbs::Module> write_module(Builder& builder, const Spirv& words) {
@@ -260,6 +263,7 @@ Dispatch read_dispatch(Copier& copy, const fbs::Dispatch& d) {
                    cost.time_us()};
   if (const fbs::IndirectGrid* g = d.indirect())
     dispatch.indirect = IndirectGrid{g->resource(), g->first()};
+  if (d.has_command()) dispatch.command_bytes = d.command_bytes();
   return dispatch;
 }
 
@@ -269,6 +273,8 @@ Segment read_segment(Copier& copy, const fbs::Segment& s) {
   segment.kind = static_cast<SegmentKind>(s.kind());
   segment.dispatches = copy.tables(s.dispatches(), read_dispatch);
   segment.program = s.program();
+  if (const fbs::Tiles* t = s.tiles())
+    segment.tiles = Tiles{t->changes(), t->work(), t->tolerance()};
   return segment;
 }
 
@@ -435,6 +441,27 @@ uint32_t chosen_program(const Variant& variant, std::span<const float> value) {
     nearest = i;
   }
   return nearest;
+}
+
+uint32_t command_words(const Segment& segment) {
+  uint32_t words = 0;
+  for (const Dispatch& dispatch : segment.dispatches)
+    if (dispatch.command_bytes) words = std::max(words, *dispatch.command_bytes / 4 + 3);
+  return words;
+}
+
+double share_run(const Segment& segment, std::span<const uint32_t> work) {
+  double run = 0, all = 0;
+  for (const Dispatch& dispatch : segment.dispatches) {
+    double share = 1;
+    if (dispatch.command_bytes)
+      for (size_t axis = 0; axis < 3; ++axis)
+        share *= static_cast<double>(work[*dispatch.command_bytes / 4 + axis]) /
+                 static_cast<double>(dispatch.workgroups[axis]);
+    run += share * dispatch.cost.time_us;
+    all += dispatch.cost.time_us;
+  }
+  return all > 0 ? run / all : 1;
 }
 
 uint32_t param_bytes(const Variant& variant) {

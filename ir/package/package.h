@@ -189,6 +189,9 @@ struct Dispatch {
   std::vector<Binding> bindings;
   Cost cost;
   std::optional<IndirectGrid> indirect{};  ///< only in kCompute segments
+  /// In a segment with Tiles: bytes from the start of Tiles::work to the VkDispatchIndirectCommand that says
+  /// how much of the grid runs; `workgroups` is all of it. Nothing: all of it always runs.
+  std::optional<uint32_t> command_bytes = std::nullopt;
   bool operator==(const Dispatch&) const = default;
 };
 
@@ -233,6 +236,23 @@ enum class SegmentKind : uint8_t { kCompute = 0, kGraph = 1, kTransfer = 2 };
 /// the other is not. A clear writes zeros to binding 0, an image.
 inline constexpr std::string_view kCopyKernel = "copy", kClearKernel = "clear";
 
+/// How a kGraph segment finds out what has to run again. Its first dispatches compare its inputs with what
+/// they were when it last ran, tile by tile, and write the commands and lists of cells by which the
+/// others run; the intermediate tensors and outputs keep their values from run to run, so that what is
+/// not made again is what it would be. Both resources are kIntermediate of int32.
+///
+/// Before the first dispatch the runtime fills `work` with zeros, and `changes`, a bit a tile, with
+/// zeros; or with ones where all has to run: in a segment's first run, behind a reset of the histories,
+/// and where something else may have written what the segment left.
+struct Tiles {
+  uint32_t changes = 0;  ///< index into Variant::resources
+  uint32_t work = 0;     ///< the same
+  /// Codes by which an int8 input may differ from what its tile was last made from; 0 is exact.
+  uint32_t tolerance = 0;
+  bool operator==(const Tiles&) const = default;
+};
+inline constexpr uint32_t kMaxTileTolerance = 255;
+
 /// Dispatches in order. A pre or post pass is a kCompute or kTransfer segment around the kGraph
 /// segments; a program without a kGraph segment is a sandwich without a network.
 struct Segment {
@@ -240,6 +260,7 @@ struct Segment {
   SegmentKind kind = SegmentKind::kGraph;
   std::vector<Dispatch> dispatches;
   uint32_t program = 0;  ///< index into Variant::programs
+  std::optional<Tiles> tiles = std::nullopt;
   bool operator==(const Segment&) const = default;
 };
 
@@ -293,7 +314,7 @@ using Spirv = std::vector<uint32_t>;
 /// The programs of a variant are what a host records, one at a time and each as often as it likes;
 /// their segments lie together, in the order of the programs. They share weights, arena, tensors,
 /// images and parameters. What they hand on lies in histories and in tensors that the caller may
-/// bind; the arena and internal images mean nothing between records.
+/// bind; internal images mean nothing between records, and the arena only to segments with Tiles.
 ///
 /// A history, of images or tensors, moves on by one slot after each record of a program that writes
 /// it. A binding of it with `frames_back` k means, in a program that writes it, the slot that is
@@ -324,6 +345,13 @@ struct Variant {
 
 /// The segments of a program, in order. The variant must pass check_package.
 std::span<const Segment> program_segments(const Variant& variant, uint32_t program);
+
+/// The share of a segment's predicted time that its last run took, from 0 to 1: by the commands that its
+/// dispatches found in Tiles::work, of which `work` are the first words, as many as command_words. What
+/// has no command counts whole. The segment has Tiles.
+double share_run(const Segment& segment, std::span<const uint32_t> work);
+/// Words from the start of Tiles::work to behind the last command.
+uint32_t command_words(const Segment& segment);
 
 /// The program whose values in Variant::choices lie nearest to the parameter's, the first of equal
 /// ones; 0 where no parameter chooses. The variant must pass check_package.

@@ -27,10 +27,13 @@ std::vector<bool> plan_barriers(std::span<const std::vector<Access>> dispatches)
   return plan;
 }
 
-std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch) {
+std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch,
+                             const std::optional<Tiles>& tiles) {
   constexpr uint64_t kArena = 0;
   std::vector<Access> result;
-  for (const Binding& binding : dispatch.bindings) {
+  std::vector<Binding> bindings = dispatch.bindings;
+  if (dispatch.command_bytes) bindings.push_back({.resource = tiles->work, .reads = true});
+  for (const Binding& binding : bindings) {
     const Resource& resource = variant.resources[binding.resource];
     if (resource.category == Category::kWeights) continue;
     Access access{kArena, 0, 1, binding.reads, binding.writes};

@@ -133,9 +133,8 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
     for (const Segment& segment : segments) {
       const bool is_graph = segment.kind == SegmentKind::kGraph;
       for (const Dispatch& dispatch : segment.dispatches) {
-        dispatches.push_back({&dispatch, is_graph ? 0 : param_bytes(variant),
-                              segment.kind == SegmentKind::kTransfer});
-        touched.push_back(accesses(result->variant_, dispatch));
+        dispatches.push_back({&segment, &dispatch, is_graph ? 0 : param_bytes(variant)});
+        touched.push_back(accesses(result->variant_, dispatch, segment.tiles));
       }
     }
     std::ranges::copy(plan_barriers(touched), std::back_inserter(barriers));
@@ -170,10 +169,13 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
   if (std::ranges::any_of(dispatches, has_sampler)) {
     SHALE_TRY(sampler_, create_sampler(context_));
   }
-  for (const auto& [dispatch, push_bytes, is_transfer] : dispatches) {
-    if (is_transfer) {
+  for (const auto& [segment, dispatch, push_bytes] : dispatches) {
+    const bool is_first = dispatch == segment->dispatches.data();
+    if (segment->tiles) has_tiles_ = true;
+    if (segment->kind == SegmentKind::kTransfer) {
       pipeline_of_step.emplace_back();
-      steps_.push_back({.dispatch = dispatch, .is_transfer = true});
+      steps_.push_back(
+          {.dispatch = dispatch, .is_transfer = true, .segment = segment, .is_first = is_first});
       has_transfers_ = true;
       continue;
     }
@@ -193,7 +195,9 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
     steps_.push_back({.dispatch = dispatch,
                       .set_layout = set_layouts_[layout->second].get(),
                       .layout = layouts_[layout->second].get(),
-                      .takes_params = push_bytes > 0});
+                      .takes_params = push_bytes > 0,
+                      .segment = segment,
+                      .is_first = is_first});
   }
 
   pipelines_.resize(wanted.size());
@@ -230,7 +234,11 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
 void Kernels::barrier(VkCommandBuffer commands) const {
   VkPipelineStageFlags stages = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT;
   VkAccessFlags reads = VK_ACCESS_SHADER_READ_BIT, writes = VK_ACCESS_SHADER_WRITE_BIT;
-  if (has_transfers_) {
+  if (has_tiles_) {
+    stages |= VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT;
+    reads |= VK_ACCESS_INDIRECT_COMMAND_READ_BIT;
+  }
+  if (has_transfers_ || has_tiles_) {
     stages |= VK_PIPELINE_STAGE_TRANSFER_BIT;
     reads |= VK_ACCESS_TRANSFER_READ_BIT;
     writes |= VK_ACCESS_TRANSFER_WRITE_BIT;
@@ -364,6 +372,19 @@ void record_transfer(VkCommandBuffer commands, const Dispatch& transfer, const K
     vk.CmdCopyImageToBuffer(commands, first.image, VK_IMAGE_LAYOUT_GENERAL, to.buffer, 1, &copy);
 }
 
+/// What the segment's Tiles ask for before its first dispatch.
+void record_tiles(VkCommandBuffer commands, const Tiles& tiles, const Kernels& kernels,
+                  const TargetOf& target, bool runs_all) {
+  kernels.barrier(commands);
+  for (const uint32_t resource : {tiles.changes, tiles.work}) {
+    const Target to = target({.resource = resource});
+    kernels.context().vk.CmdFillBuffer(commands, to.buffer, to.offset,
+                                       bound_bytes(kernels.variant().resources[resource]),
+                                       runs_all && resource == tiles.changes ? UINT32_MAX : 0);
+  }
+  kernels.barrier(commands);
+}
+
 }  // namespace
 
 Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps) {
@@ -375,12 +396,16 @@ Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps) {
 
 void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<const Step> steps,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
-                  const TargetOf& target, vk::Timestamps* timestamps) {
+                  const TargetOf& target, bool runs_all, vk::Timestamps* timestamps) {
   const vk::Functions& vk = kernels.context().vk;
   if (timestamps) timestamps->start(commands);
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& step = steps[i];
-    if (step.barrier_before) kernels.barrier(commands);
+    const std::optional<Tiles>& tiles = step.segment->tiles;
+    if (tiles && step.is_first)
+      record_tiles(commands, *tiles, kernels, target, runs_all);
+    else if (step.barrier_before)
+      kernels.barrier(commands);
     if (step.is_transfer) {
       record_transfer(commands, *step.dispatch, kernels, target);
       if (timestamps) timestamps->mark(commands);
@@ -396,6 +421,9 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<co
       const Target words = target(Binding{.resource = indirect->resource});
       vk.CmdDispatchIndirect(commands, words.buffer,
                              words.offset + sizeof(uint32_t) * indirect->first);
+    } else if (step.dispatch->command_bytes) {
+      const Target work = target({.resource = tiles->work});
+      vk.CmdDispatchIndirect(commands, work.buffer, work.offset + *step.dispatch->command_bytes);
     } else {
       const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
       vk.CmdDispatch(commands, grid[0], grid[1], grid[2]);

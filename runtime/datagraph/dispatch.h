@@ -33,6 +33,8 @@ struct Step {
   bool takes_params = false;  ///< its layout has the variant's push constants
   bool is_transfer = false;   ///< has no handles
   bool barrier_before = false;
+  const Segment* segment = nullptr;  ///< that it belongs to
+  bool is_first = false;             ///< of its segment
 };
 
 /// Which segments of a variant are made ready: those of each program that is to be recorded, which
@@ -73,6 +75,8 @@ class Kernels {
   void barrier(VkCommandBuffer commands) const;
   /// True if there are transfers among the steps.
   bool has_transfers() const { return has_transfers_; }
+  /// True if segments of the steps have Tiles.
+  bool has_tiles() const { return has_tiles_; }
 
   /// Offsets of caller's buffers must be multiples of this.
   uint64_t tensor_alignment() const;
@@ -80,9 +84,9 @@ class Kernels {
  private:
   Kernels() = default;
   struct Wanted {
+    const Segment* segment;
     const Dispatch* dispatch;
     uint32_t push_bytes;
-    bool is_transfer;
   };
   Result<void> create_pipelines(const Variant& variant, std::span<const Wanted> dispatches,
                                 VkPipelineCache cache);
@@ -99,6 +103,7 @@ class Kernels {
   std::vector<size_t> program_begins_;  // in steps_, and the end
   bool has_transfers_ = false;
   bool has_indirect_ = false;
+  bool has_tiles_ = false;
 };
 
 /// What a binding leads to: a buffer from `offset` on, or an image in VK_IMAGE_LAYOUT_GENERAL: its
@@ -134,11 +139,12 @@ class DescriptorSets {
 };
 
 /// Records steps of `kernels` in order, each with its set and the barrier before it; `params`
-/// are the push constants of steps that take them, `target` answers for the ends of transfers,
-/// `timestamps` may be null and otherwise is started and marked after each step.
+/// are the push constants of steps that take them, `target` answers for the ends of transfers and for Tiles,
+/// `timestamps` may be null and otherwise is started and marked after each step. Segments with Tiles run all that
+/// they have if `runs_all`.
 void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<const Step> steps,
                   std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
-                  const TargetOf& target, vk::Timestamps* timestamps);
+                  const TargetOf& target, bool runs_all, vk::Timestamps* timestamps);
 
 /// Errors: kBadInput if there are timestamps of fewer intervals than steps.
 Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps);

@@ -15,6 +15,7 @@ struct Session::State {
   DescriptorSets descriptors;
   std::vector<VkDescriptorSet> sets;  // by step
   bool descriptors_written = false;
+  bool runs_all = true;  // in the next record, where there are Tiles
 };
 
 Session::Session(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -99,6 +100,7 @@ Result<void> Session::bind_tensor(std::string_view name, const TensorView& tenso
     state_->buffers[i] = tensor.buffer;
     state_->offsets[i] = tensor.offset;
     state_->descriptors_written = false;
+    state_->runs_all = true;
     return {};
   }
   return bad_input("", "the network has no input or output \"{}\"", name);
@@ -108,6 +110,10 @@ Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamp
   const Kernels& kernels = *state_->kernels;
   const std::span<const Step> steps = kernels.steps(0);
   SHALE_TRY_VOID(check_timestamps(timestamps, steps.size()));
+  const TargetOf target = [&](const Binding& binding) {
+    return Target{.buffer = state_->buffers[binding.resource],
+                  .offset = state_->offsets[binding.resource]};
+  };
   if (!state_->descriptors_written) {
     if (state_->arena && !state_->arena_bound) return bad_input("arena", "has no memory yet");
     for (const Step& step : steps)
@@ -116,16 +122,23 @@ Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamp
           return bad_input(
               fmt::format("tensor \"{}\"", kernels.variant().resources[binding.resource].name),
               "is not bound yet");
-    for (size_t i = 0; i < steps.size(); ++i)
-      SHALE_TRY_VOID(state_->descriptors.write(i, [&](const Binding& binding) {
-        return Target{.buffer = state_->buffers[binding.resource],
-                      .offset = state_->offsets[binding.resource]};
-      }));
+    for (size_t i = 0; i < steps.size(); ++i) SHALE_TRY_VOID(state_->descriptors.write(i, target));
     state_->descriptors_written = true;
   }
   kernels.record_upload(commands);
-  record_steps(commands, kernels, steps, state_->sets, {}, {}, timestamps);
+  record_steps(commands, kernels, steps, state_->sets, {}, target, state_->runs_all, timestamps);
+  state_->runs_all = false;
   return {};
+}
+
+void Session::run_all() { state_->runs_all = true; }
+
+Result<TensorView> Session::commands() const {
+  const Segment* segment = state_->kernels->steps(0).front().segment;
+  if (!segment->tiles) return bad_input("", "the graph does not work by tiles");
+  if (!state_->arena_bound) return bad_input("arena", "has no memory yet");
+  return TensorView{state_->arena.get(), state_->offsets[segment->tiles->work],
+                    uint64_t{command_words(*segment)} * sizeof(uint32_t)};
 }
 
 }  // namespace shale

@@ -16,7 +16,8 @@ namespace shale {
 /// Usage of the runtime's own tensor buffers: what shaders need of any, and transfers.
 inline constexpr VkBufferUsageFlags kTensorBufferUsage =
     VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT |
-    VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+    VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT | VK_BUFFER_USAGE_TRANSFER_SRC_BIT |
+    VK_BUFFER_USAGE_TRANSFER_DST_BIT;
 
 /// A tensor inside somebody's buffer. The buffer's usage must have
 /// VK_BUFFER_USAGE_STORAGE_BUFFER_BIT and VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT.
@@ -45,6 +46,9 @@ struct BindPoint {
 ///  - between two recordings of one session: a memory barrier from that stage and
 ///    VK_ACCESS_SHADER_WRITE_BIT to it and VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT,
 ///    since they share the arena.
+/// A graph that works by tiles runs what its changed inputs reach, so the arena's memory and the outputs have to stay as a
+/// record left them until the next one, or run_all() has to be called. Its recordings begin with a barrier that serves
+/// between two of them, too.
 /// Different sessions need nothing between each other, unless they share memory or tensors. But the
 /// first record of all sessions of a pipeline also uploads the weights, where the host cannot write
 /// the device's memory: it must be submitted, and before anything that is recorded later.
@@ -57,8 +61,8 @@ class Session {
   ~Session();
 
   /// What must be bound before recording; empty if the graph has no intermediate tensor. The
-  /// content means nothing between dispatches, so sessions that never overlap in time may share the
-  /// memory.
+  /// content means nothing between records, so sessions that never overlap in time may share the
+  /// memory; but not of a graph that works by tiles.
   std::vector<BindPoint> memory_requirements() const;
 
   /// Gives the arena its memory, once. `memory` stays the caller's.
@@ -86,6 +90,14 @@ class Session {
   /// Errors: kBadInput, naming what is not bound yet, or if there are timestamps of too few
   /// intervals; kDevice.
   Result<void> record(VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
+
+  /// The next record of a graph that works by tiles runs all of it, as the first one does and that behind a bind_tensor.
+  void run_all();
+
+  /// Where the commands of a graph that works by tiles lie, for share_run: command_words words. The buffer allows
+  /// transfers.
+  /// Errors: kBadInput if it does not, or has no memory yet.
+  Result<TensorView> commands() const;
 
  private:
   struct State;

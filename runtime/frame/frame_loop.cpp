@@ -48,6 +48,7 @@ struct Slot {
   std::vector<size_t> own_sets;       // those that no other slot has, as indices of descriptors
   std::vector<uint32_t> positions;    // of the program's histories when own_sets were written
   uint64_t bindings = 0;              // State::bindings when they were written; 0 is never
+  vk::Buffer commands;                // what the segments with Tiles ran by, one behind the other
 };
 
 struct Program {
@@ -56,6 +57,7 @@ struct Program {
   std::vector<Slot> slots;
   uint64_t records = 0;
   bool is_reset = true;  // the next record is the first one since the histories were cleared
+  bool runs_all = true;  // in the next record, where there are Tiles
 };
 
 }  // namespace
@@ -81,17 +83,23 @@ struct FrameLoop::State {
   float time = 1;         // of the picture that is generated
   bool clear_history = true;
   uint32_t chosen = 0;  // program, where a parameter chooses
+  uint32_t last = 0;    // program that was recorded
 
   Result<void> create_tensors();
   Result<void> create_images();
   void create_programs();
   Result<void> create_sets(uint32_t frames_in_flight);
+  Result<void> create_command_copies();
+  std::span<const Segment> segments(const Program& program) const {
+    return program_segments(kernels->variant(), static_cast<uint32_t>(&program - programs.data()));
+  }
   uint32_t position(const Program& program, uint32_t resource, uint32_t frames_back) const;
   Result<void> update_sets(const Program& program, Slot& slot);
   void set(const Param& param, std::span<const float> values);
   Target target(const Program& program, const Binding& binding) const;
   void record_start(VkCommandBuffer commands) const;
   void record_clears(VkCommandBuffer commands) const;
+  void copy_commands(VkCommandBuffer commands, const Program& program, const Slot& slot) const;
   Result<void> record(uint32_t index, VkCommandBuffer commands, vk::Timestamps* timestamps);
   bool generates(uint32_t program) const {
     const std::optional<Generator>& generator = kernels->variant().generator;
@@ -137,6 +145,7 @@ Result<FrameLoop> FrameLoop::create(const vk::Context& context, const Package& p
   SHALE_TRY_VOID(state->create_tensors());
   SHALE_TRY_VOID(state->create_images());
   SHALE_TRY_VOID(state->create_sets(options.frames_in_flight));
+  SHALE_TRY_VOID(state->create_command_copies());
   state->params.resize(param_bytes(variant));
   for (const Param& param : variant.params) state->set(param, param.default_values);
   return FrameLoop(std::move(state));
@@ -241,6 +250,22 @@ Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
   return {};
 }
 
+/// Where a host finds how much ran.
+Result<void> FrameLoop::State::create_command_copies() {
+  for (Program& program : programs) {
+    uint64_t words = 0;
+    for (const Segment& segment : segments(program))
+      if (segment.tiles) words += command_words(segment);
+    if (words == 0) continue;
+    for (Slot& slot : program.slots) {
+      SHALE_TRY(slot.commands,
+                vk::Buffer::create(kernels->context(), words * sizeof(uint32_t),
+                                   VK_BUFFER_USAGE_TRANSFER_DST_BIT, vk::MemoryKind::kReadback));
+    }
+  }
+  return {};
+}
+
 /// In the ring of a history, in the record of `program` that is being made; 0 of all else.
 uint32_t FrameLoop::State::position(const Program& program, uint32_t resource,
                                     uint32_t frames_back) const {
@@ -341,6 +366,22 @@ void FrameLoop::State::record_clears(VkCommandBuffer commands) const {
   vk::memory_barrier(context, commands, kCompute | kTransfer, kWrites, kCompute, kShader);
 }
 
+void FrameLoop::State::copy_commands(VkCommandBuffer commands, const Program& program,
+                                     const Slot& slot) const {
+  kernels->barrier(commands);
+  uint64_t at = 0;
+  for (const Segment& segment : segments(program)) {
+    if (!segment.tiles) continue;
+    const VkBufferCopy copy{offsets[segment.tiles->work], at,
+                            uint64_t{command_words(segment)} * sizeof(uint32_t)};
+    kernels->context().vk.CmdCopyBuffer(commands, arena.get(), slot.commands.get(), 1, &copy);
+    at += copy.size;
+  }
+  vk::memory_barrier(kernels->context(), commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                     VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                     VK_ACCESS_HOST_READ_BIT);
+}
+
 const Variant& FrameLoop::variant() const { return state_->kernels->variant(); }
 
 VkImageUsageFlags FrameLoop::image_usage(std::string_view name) const {
@@ -404,7 +445,7 @@ Result<void> FrameLoop::set_param(std::string_view name, std::span<const float> 
 void FrameLoop::reset_history() {
   state_->clear_history = true;
   state_->rendered = 0;
-  for (Program& program : state_->programs) program.is_reset = true;
+  for (Program& program : state_->programs) program.is_reset = program.runs_all = true;
 }
 
 std::optional<uint32_t> FrameLoop::next_program() const {
@@ -484,14 +525,41 @@ Result<void> FrameLoop::State::record(uint32_t index, VkCommandBuffer commands,
   kernels->barrier(commands);
   record_steps(
       commands, *kernels, steps, slot.sets, params,
-      [&](const Binding& binding) { return target(program, binding); }, timestamps);
+      [&](const Binding& binding) { return target(program, binding); }, program.runs_all,
+      timestamps);
+  if (slot.commands) copy_commands(commands, program, slot);
+  program.runs_all = false;
+  for (size_t i = 0; i < variant.resources.size(); ++i)
+    if (program.writes[i] && is_graph_tensor(variant.resources[i].category))
+      for (Program& other : programs)
+        if (&other != &program && other.writes[i]) other.runs_all = true;
   // The host waits for shaders, whatever wrote its images.
   if (kernels->has_transfers()) kernels->barrier(commands);
   for (const uint32_t resource : program.histories)
     if (program.writes[resource]) ++written[resource];
   ++program.records;
+  last = index;
   ++frame;
   return {};
+}
+
+std::optional<double> FrameLoop::share_run(uint32_t records_ago) const {
+  const Program& program = state_->programs[state_->last];
+  if (records_ago >= program.slots.size() || records_ago >= program.records) return std::nullopt;
+  const Slot& slot = program.slots[(program.records - 1 - records_ago) % program.slots.size()];
+  if (!slot.commands) return std::nullopt;
+  std::span<const uint32_t> words(reinterpret_cast<const uint32_t*>(slot.commands.mapped().data()),
+                                  slot.commands.size_bytes() / sizeof(uint32_t));
+  double run = 0, all = 0;
+  for (const Segment& segment : state_->segments(program)) {
+    if (!segment.tiles) continue;
+    double time_us = 0;
+    for (const Dispatch& dispatch : segment.dispatches) time_us += dispatch.cost.time_us;
+    run += time_us * shale::share_run(segment, words);
+    all += time_us;
+    words = words.subspan(command_words(segment));
+  }
+  return all > 0 ? run / all : 1;
 }
 
 uint64_t FrameLoop::frame() const { return state_->frame; }

@@ -60,6 +60,9 @@ struct MemoryUse {
 ///    Both hold where the package copies an image, too.
 ///  - Barriers within a record and between the records of a loop are the loop's.
 ///
+/// Networks that work by tiles (Tiles in package.h) run whole in the first record of their program, in the first one behind
+/// reset_history, and where another program wrote their outputs meanwhile.
+///
 /// Programs and histories: as package.h says of Variant. Tensors and images are shared by all
 /// programs of the package.
 ///
@@ -136,6 +139,12 @@ class FrameLoop {
   /// Errors: as record; also kBadInput if no program generates, it takes no such time, or no frame
   /// was rendered since the histories were reset.
   Result<void> generate(float time, VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
+
+  /// Of a program with networks that work by tiles, the share of these networks' predicted time that a record took, 0 to
+  /// 1: that of the last record, or of the one `records_ago` of the same program before it. The device must have finished
+  /// it, and fewer than frames_in_flight records of the program must lie behind it. Nothing where no network works by
+  /// tiles or there was no such record.
+  std::optional<double> share_run(uint32_t records_ago = 0) const;
 
   /// Number of records so far, of all programs.
   uint64_t frame() const;

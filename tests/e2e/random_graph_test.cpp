@@ -95,6 +95,8 @@ class Checker {
     if (const auto failure = run("the device with passes", *compiled, random, expected))
       return failure;
 
+    if (const auto failure = check_tiles(random, turn)) return failure;
+
     Graph unfused = compiled->graph;
     bool was_fused = false;
     for (Node& node : unfused.nodes) was_fused = was_fused || node.group != 0, node.group = 0;
@@ -114,7 +116,45 @@ class Checker {
   uint64_t elements = 0, anything = 0;      ///< of bounds; those that bound nothing
   std::map<std::string, uint64_t> kernels;  ///< dispatches of each family
 
+  uint64_t changed_runs = 0, changed_parts = 0;  ///< by tiles; of which not all ran
+
  private:
+  /// By tiles: a run, one with some elements of an input changed, one with the old ones again; all as the
+  /// interpreter has them.
+  Failure check_tiles(const RandomGraph& random, uint64_t turn) {
+    CompileOptions by_tiles = options(true, turn);
+    by_tiles.tiles = 0;
+    const Result<Compiled> compiled = compile_graph(random.graph, 0, by_tiles);
+    if (!compiled) return "compiling by tiles: " + compiled.error().text();
+    const Result<Package> package = read_package(write_package(compiled->package));
+    if (!package) return "the package by tiles is refused: " + package.error().text();
+    if (has_reals(random.graph)) return std::nullopt;  // the same code, and results in bounds only
+    Result<NetworkRun> run = NetworkRun::create(device_, *package, random.inputs);
+    if (!run) return "by tiles: " + run.error().text();
+    std::vector<Tensor> changed = random.inputs;
+    Random draw(turn);
+    for (Tensor& input : changed)
+      if (!input.bytes.empty() && draw.chance(60)) {
+        const Tensor other = random_tensor(draw, input.type);
+        const int64_t first = draw.between(0, input.count() - 1);
+        for (int64_t i = first; i < std::min(first + draw.between(1, 40), input.count()); ++i)
+          input.set(i, other.get(i));
+      }
+    const std::vector<Tensor>* const turns[] = {&random.inputs, &changed, &random.inputs};
+    for (const std::vector<Tensor>* inputs : turns) {
+      const Result<std::vector<Tensor>> expected = interpret(random.graph, *inputs);
+      if (!expected) continue;  // of the changed ones TOSA need not give a result
+      if (const auto set = run->set_inputs(*inputs); !set) return set.error().text();
+      const auto ran = run->run_changes();
+      if (!ran) return "by tiles: " + ran.error().text();
+      ++changed_runs;
+      changed_parts += ran->share < 0.99;
+      if (const auto failure = compare("the device by tiles", run->outputs(), {*expected, {}}))
+        return failure;
+    }
+    return std::nullopt;
+  }
+
   Failure run(const char* what, const Compiled& compiled, const RandomGraph& random,
               const Expected& expected) {
     // What the runtime gets is what a file holds.
@@ -134,7 +174,7 @@ int run(const Arguments& arguments) {
              arguments.seed + arguments.count - 1, arguments.validated);
   RandomGraphCounts counts;
   std::map<std::string, uint64_t> kernels;
-  uint64_t failures = 0, fused = 0, elements = 0, anything = 0;
+  uint64_t failures = 0, fused = 0, changed_runs = 0, changed_parts = 0, elements = 0, anything = 0;
   std::unique_ptr<ToolDevice> device;
   for (uint64_t i = 0; i < arguments.count; ++i) {
     const bool validated = i < arguments.validated;
@@ -153,6 +193,7 @@ int run(const Arguments& arguments) {
     Failure failure = checker.check(random, seed % 4 == 0, seed);
     const std::vector<std::string> messages = device->take_validation_messages();
     if (!failure && !messages.empty()) failure = "validation: " + messages.front();
+    changed_runs += checker.changed_runs, changed_parts += checker.changed_parts;
     fused += checker.fused, elements += checker.elements, anything += checker.anything;
     for (const auto& [name, count] : checker.kernels) kernels[name] += count;
     if (!failure) continue;
@@ -165,6 +206,7 @@ int run(const Arguments& arguments) {
       "{} nodes drawn: {} kept, {:.1f} % illegal, {:.1f} % without a result; {} graphs fused\n",
       drawn, counts.kept, 100.0 * static_cast<double>(counts.illegal) / static_cast<double>(drawn),
       100.0 * static_cast<double>(counts.unpredictable) / static_cast<double>(drawn), fused);
+  fmt::print("{} runs by tiles, {} of them of a part\n", changed_runs, changed_parts);
   for (const auto& [name, count] : kernels) fmt::print("{} dispatches of {}\n", count, name);
   if (arguments.real)
     fmt::print("{} elements bounded, {:.1f} % by nothing\n", elements,

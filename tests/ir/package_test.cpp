@@ -158,6 +158,21 @@ Package linear_package() {
   return p;
 }
 
+/// sample_package whose first network works by tiles: resources 9 and 10 are its changes and its work.
+Package tiles_package() {
+  Package p = sample_package();
+  Variant& v = p.variants[0];
+  v.resources.push_back(tensor("changes", Category::kIntermediate, DType::kInt32, {3}, 0));
+  v.resources.push_back(tensor("work", Category::kIntermediate, DType::kInt32, {16}, 256));
+  v.segments[1].tiles = Tiles{9, 10, 2};
+  v.segments[1].dispatches[0].command_bytes = 16;
+  v.segments[1].dispatches[0].bindings.push_back(
+      {7, BindingType::kStorageBuffer, 10, ImageFormat::kNone, true, false, 0});
+  v.requirements = binding_requirements(v);
+  v.requirements.features.add(Feature::kInt8);
+  return p;
+}
+
 std::string refusal(std::span<const uint8_t> bytes) {
   const Result<Package> result = read_package(bytes);
   return result ? "accepted" : result.error().text();
@@ -359,6 +374,63 @@ TEST(OldPackages, HadMatricesOfOneShape) {
   needs.subgroup_size = 32;
   needs.matrix_products = {{16, 16, 32}};
   EXPECT_EQ(old->variants[0].requirements, needs);
+}
+
+TEST(Package, HasNetworksThatWorkByTiles) {
+  const Package package = tiles_package();
+  const Result<Package> read = read_package(write_package(package));
+  ASSERT_TRUE(read) << read.error().text();
+  EXPECT_EQ(*read, package);
+  const std::string dump = dump_package(*read);
+  EXPECT_NE(dump.find("works by tiles: changes in \"changes\", work in \"work\", tolerance 2"),
+            std::string::npos);
+  EXPECT_NE(dump.find("grid 4x1x1, by the command at 16"), std::string::npos);
+}
+
+TEST(Package, TellsHowMuchOfANetworkRan) {
+  Package package = tiles_package();
+  Segment& segment = package.variants[0].segments[1];
+  segment.dispatches[0].cost.time_us = 6;
+  segment.dispatches[1].cost.time_us = 2;  // without a command
+  EXPECT_EQ(command_words(segment), 7u);
+  const std::vector<uint32_t> none{9, 9, 9, 9, 0, 1, 1}, half{9, 9, 9, 9, 2, 1, 1},
+      all{9, 9, 9, 9, 4, 1, 1};
+  EXPECT_DOUBLE_EQ(share_run(segment, none), 0.25);
+  EXPECT_DOUBLE_EQ(share_run(segment, half), 0.625);
+  EXPECT_DOUBLE_EQ(share_run(segment, all), 1);
+}
+
+TEST(Package, RefusesTilesThatLeadNowhere) {
+  const auto refused = [](const std::function<void(Segment&, Variant&)>& damage) {
+    Package package = tiles_package();
+    damage(package.variants[0].segments[1], package.variants[0]);
+    return refusal(write_package(package));
+  };
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.tiles->changes = 11; }),
+            "variant 0, segment 1: resource 11 of its tiles does not exist, there are 11");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.tiles->work = 0; }),
+            "variant 0, segment 1: \"x\" of its tiles is no intermediate tensor of INT32");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.tiles->changes = 1; }),
+            "variant 0, segment 1: \"mid\" of its tiles is no intermediate tensor of INT32");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.tiles->tolerance = 256; }),
+            "variant 0, segment 1: a tolerance of 256 codes is above 255");
+  EXPECT_EQ(
+      refused([](Segment& s, Variant&) { s.tiles.reset(); }),
+      "variant 0, segment 1, dispatch \"conv1\": has a command, and its segment has no tiles");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.dispatches[0].command_bytes = 18; }),
+            "variant 0, segment 1, dispatch \"conv1\": a command at byte 18 is unaligned or leaves "
+            "the 64 bytes of \"work\"");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.dispatches[0].command_bytes = 56; }),
+            "variant 0, segment 1, dispatch \"conv1\": a command at byte 56 is unaligned or leaves "
+            "the 64 bytes of \"work\"");
+  EXPECT_EQ(
+      refused([](Segment& s, Variant&) { s.dispatches[0].command_bytes = UINT32_MAX - 3; }),
+      "variant 0, segment 1, dispatch \"conv1\": a command at byte 4294967292 is unaligned or "
+      "leaves the 64 bytes of \"work\"");
+  EXPECT_EQ(refused([](Segment&, Variant& v) {
+              v.segments[0].tiles = Tiles{9, 10, 0};
+            }),
+            "variant 0, segment 0: works by tiles, which only graph segments can");
 }
 
 struct BadPackage {

@@ -234,6 +234,11 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
                  "the passes of a frame)")
       ->check(CLI::Range(1.0, 1e12))
       ->default_str("");
+  app.add_option("--tiles", tiles,
+                 "run of networks only what changed inputs reach; codes by which int8 inputs may "
+                 "differ from what was last made of them, 0 is exact (default: all in every run)")
+      ->check(CLI::Range(0u, kMaxTileTolerance))
+      ->default_str("");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
       ->delimiter(',')
       ->allow_extra_args(false);
@@ -292,6 +297,7 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   SHALE_TRY_VOID(add_targets(options));
   options.kernels = kernels;
   options.expected_runs = expected_runs;
+  options.tiles = tiles;
   for (const std::string& kernel : kernels)
     if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
   if (!choices.empty()) {

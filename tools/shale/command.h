@@ -91,6 +91,7 @@ struct CompileArguments {
   std::string frame, render, output, choices, constants, needs, precision = "int8";
   double ratio = 0;
   std::optional<double> expected_runs;
+  std::optional<uint32_t> tiles;
   std::vector<std::string> dump_after;
   bool no_passes = false, verify_each = false, require_proof = false, no_spirv_opt = false;
 

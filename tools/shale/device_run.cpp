@@ -142,8 +142,11 @@ Package alone(const Package& package, const Variant& variant, const Segment& seg
   Package one{package.provenance, {variant}, package.weights};
   Variant& only = one.variants.front();
   only.modules = {variant.modules[dispatch.module]};
-  only.segments = {{segment.name, segment.kind, {dispatch}}};
-  only.segments.front().dispatches.front().module = 0;
+  only.segments = {{segment.name, segment.kind, {dispatch}, 0, segment.tiles}};
+  Dispatch& own = only.segments.front().dispatches.front();
+  own.module = 0;
+  // No other dispatch writes the command: the first cell, which a list of zeros names.
+  if (own.command_bytes) own.command_bytes.reset(), own.workgroups = {1, 1, 1};
   only.programs.resize(1);
   return one;
 }
@@ -214,6 +217,7 @@ struct NetworkRun::State {
   vk::Timestamps timestamps, whole;
   std::string compiles;  ///< what the first run waits for; empty after it
   std::vector<vk::Buffer> inputs = {}, outputs = {};
+  vk::Buffer command_copy = {};  ///< of the last run by changes
 
   std::span<const Segment> segments() const { return {&pipeline.graph(), 1}; }
   /// With the times of all dispatches, of the whole, or neither.
@@ -305,14 +309,45 @@ Result<void> NetworkRun::set_inputs(const std::vector<Tensor>& inputs) {
   return {};
 }
 
-Result<void> NetworkRun::run() { return state_->submit(nullptr, nullptr); }
+Result<void> NetworkRun::run() {
+  state_->session.run_all();
+  return state_->submit(nullptr, nullptr);
+}
+
+Result<NetworkRun::ChangesRun> NetworkRun::run_changes() {
+  SHALE_TRY(const TensorView commands, state_->session.commands());
+  if (!state_->command_copy) {
+    SHALE_TRY(state_->command_copy,
+              vk::Buffer::create(state_->context, commands.size_bytes,
+                                 VK_BUFFER_USAGE_TRANSFER_DST_BIT, vk::MemoryKind::kReadback));
+  }
+  SHALE_TRY_VOID(state_->submit(nullptr, &state_->whole));
+  SHALE_TRY(const std::vector<double> times, state_->whole.read_us());
+  SHALE_TRY_VOID(vk::submit_and_wait(state_->context, [&](VkCommandBuffer recorded) {
+    vk::memory_barrier(state_->context, recorded, VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT,
+                       VK_ACCESS_SHADER_WRITE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_READ_BIT);
+    const VkBufferCopy copy{commands.offset, 0, commands.size_bytes};
+    state_->context.vk.CmdCopyBuffer(recorded, commands.buffer, state_->command_copy.get(), 1,
+                                     &copy);
+    vk::memory_barrier(state_->context, recorded, VK_PIPELINE_STAGE_TRANSFER_BIT,
+                       VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                       VK_ACCESS_HOST_READ_BIT);
+  }));
+  const std::span<const uint32_t> words(
+      reinterpret_cast<const uint32_t*>(state_->command_copy.mapped().data()),
+      commands.size_bytes / sizeof(uint32_t));
+  return ChangesRun{times.front(), share_run(state_->pipeline.graph(), words)};
+}
 
 Result<std::vector<DispatchTime>> NetworkRun::measure() {
+  state_->session.run_all();
   SHALE_TRY_VOID(state_->submit(&state_->timestamps, nullptr));
   return measured_times(state_->timestamps, state_->segments());
 }
 
 Result<double> NetworkRun::measure_whole() {
+  state_->session.run_all();
   SHALE_TRY_VOID(state_->submit(nullptr, &state_->whole));
   SHALE_TRY(const std::vector<double> times, state_->whole.read_us());
   return times.front();

@@ -87,13 +87,20 @@ class NetworkRun {
   const Variant& variant() const;
   /// Other inputs, for the runs to come. Errors: kBadInput if they do not match the package.
   Result<void> set_inputs(const std::vector<Tensor>& inputs);
-  /// Runs once. Errors: kDevice.
+  /// Runs once, all of a network that works by tiles too, as measure() and measure_whole() do. Errors: kDevice.
   Result<void> run();
   /// Runs once and measures each dispatch; a driver may compile at the first run.
   Result<std::vector<DispatchTime>> measure();
   /// Runs once and measures the whole in microseconds: between dispatches a driver may take long for
   /// a timestamp.
   Result<double> measure_whole();
+  /// A run by what changed since the last one, of a network that works by tiles: microseconds, and
+  /// the share_run of its segment.
+  /// Errors: as run; kBadInput for other networks.
+  struct ChangesRun {
+    double time_us, share;
+  };
+  Result<ChangesRun> run_changes();
   /// Of the last run, in the order of the graph.
   std::vector<Tensor> outputs() const;
 

@@ -96,13 +96,15 @@ Dump package_dump(const Package& package) {
                {"modules", variant.modules.size()}};
     for (const Segment& segment : variant.segments)
       for (const Dispatch& dispatch : segment.dispatches)
-        entry["dispatches"].push_back({{"segment", segment.name},
-                                       {"name", dispatch.name},
-                                       {"kernel", dispatch.kernel},
-                                       {"module", dispatch.module},
-                                       {"workgroups", dispatch.workgroups},
-                                       {"macs", dispatch.cost.macs},
-                                       {"time_us", dispatch.cost.time_us}});
+        entry["dispatches"].push_back(
+            {{"segment", segment.name},
+             {"name", dispatch.name},
+             {"kernel", dispatch.kernel},
+             {"module", dispatch.module},
+             {"workgroups", dispatch.workgroups},
+             {"command_bytes", dispatch.command_bytes ? Json(*dispatch.command_bytes) : Json()},
+             {"macs", dispatch.cost.macs},
+             {"time_us", dispatch.cost.time_us}});
     for (const RangeProof& proof : variant.proofs)
       entry["range_proofs"].push_back({{"name", proof.name},
                                        {"min", proof.min},

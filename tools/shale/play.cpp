@@ -146,11 +146,15 @@ void print_frames(const Json& json, std::FILE* to) {
     const std::string passes = !frame.contains("kept_promise")     ? ""
                                : frame["kept_promise"].get<bool>() ? ", kept its promise"
                                                                    : ", full passes";
+    const std::string ran =
+        frame.contains("networks_run")
+            ? fmt::format(", networks {:.1f} % run", 100 * frame["networks_run"].get<double>())
+            : "";
     fmt::print(to, "{} -> {} ({}x{}){}{}{}\n", frame["input"].get<std::string>(),
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
                frame["height"].get<uint32_t>(),
                frame.contains("network") ? ", network " + frame["network"].get<std::string>() : "",
-               timed, passes);
+                timed, passes + ran);
     if (frame.contains("psnr_db"))
       for (const auto& [name, value] : frame["psnr_db"].items())
         fmt::print(to, "  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());
@@ -386,6 +390,7 @@ Result<int> play(const Arguments& arguments) {
       Json entry = entry_of(rendered_at, result);
       entry.update(timed);
       if (const std::optional<bool> kept = player->kept_promise()) entry["kept_promise"] = *kept;
+      if (const std::optional<double> share = player->share_run()) entry["networks_run"] = *share;
       SHALE_TRY_VOID(look_inside(rendered_at, entry));
       const bool compares = !arguments.reference.empty() || !arguments.compare.empty();
       if (compares && i == 0) {

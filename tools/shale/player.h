@@ -64,6 +64,8 @@ class Player {
   /// Whether the last frame kept the package's promise, so that the passes of kept promises made it, or took the full
   /// ones; nothing without a promise.
   std::optional<bool> kept_promise() const { return kept_promise_; }
+  /// FrameLoop::share_run of the last frame.
+  std::optional<double> share_run() const { return loop_.share_run(); }
 
   /// The next frame starts without a past. Frames with a cut do so themselves.
   void reset();

@@ -47,6 +47,10 @@ class Converter {
       return unsupported("",
                          "has passes that the device chooses between, which VGF does not have; "
                          "compile without needs");
+    for (const Segment& segment : variant_.segments)
+      if (segment.tiles)
+        return unsupported(fmt::format("segment \"{}\"", segment.name),
+                           "works by tiles, by commands of the device that VGF does not have");
     for (const Param& param : variant_.params)
       if (param.source != ParamSource::kHost)
         return unsupported(fmt::format("parameter \"{}\"", param.name),

@@ -52,6 +52,23 @@ TEST(Plan, OfANetworkAlone) {
 })"));
 }
 
+TEST(Plan, OfANetworkThatWorksByTiles) {
+  CompileOptions options;
+  options.tiles = 1;
+  // A result with cells, one that mixes all positions, and an input that is no picture.
+  expect_golden("tiles", plans_of(options, R"(graph main {
+  input %x : i8[1,41,71,4]
+  input %bias : i8[1,1,1,4]
+  const %zp : i8[1] = [-3]
+  const %w : i8[4,1,1,4] = [1,2,3,4, 5,6,7,8, 9,8,7,6, 5,4,3,2]
+  const %b : i32[4] = [1,2,3,4]
+  %c = conv2d %x, %w, %b, %zp, %zp {pad=[0,0,0,0], stride=[2,2], dilation=[1,1], acc_type=i32} : i32[1,21,36,4]
+  %y = bitwise_xor %x, %bias : i8[1,41,71,4]
+  %m = reduce_max %c {axis=1} : i32[1,1,36,4]
+  return %y, %m
+})"));
+}
+
 TEST(Plan, OfASmallFrame) { expect_golden("frame", plans_of(frame_options(kFrame), kNetwork)); }
 
 /// A model folder at a small size.
