@@ -18,11 +18,17 @@ namespace {
 
 constexpr uint64_t kSeed = 5;
 
-const char* const kBetween[] = {
-    "mob_fgsr_interpolation", "mob_fgsr_sr_interpolation", "motion_and_flow",
-    "generation/linear",      "generation/unrefined",      "generation/unfilled",
-    "generation/backward",    "generation/blend",          "generation/repeat",
-    "generation/nfru_by_hand", "../nfru"};
+const char* const kBetween[] = {"mob_fgsr_interpolation",
+                                "mob_fgsr_sr_interpolation",
+                                "motion_and_flow",
+                                "generation/linear",
+                                "generation/unrefined",
+                                "generation/unfilled",
+                                "generation/backward",
+                                "generation/blend",
+                                "generation/repeat",
+                                "generation/nfru_by_hand",
+                                "../nfru"};
 const char* const kAhead[] = {"mob_fgsr_extrapolation",    "mob_fgsr_sr_extrapolation",
                               "generation/linear_ahead",   "generation/unrefined_ahead",
                               "generation/backward_ahead", "generation/repeat_ahead"};
@@ -249,7 +255,9 @@ TEST_F(GenerationTest, WhatWasCoveredComesFromTheFrameThatSawIt) {
 /// A picture that moves 8 pixels a frame over another one that stands still, without motion vectors. Time 0 has it at x = 16.
 Pixel unmoved(int x, int y, double t) {
   const double left = 16 + 8 * t;
-  const auto wave = [](double a, double b) { return static_cast<float>(std::sin(a) * std::cos(b)); };
+  const auto wave = [](double a, double b) {
+    return static_cast<float>(std::sin(a) * std::cos(b));
+  };
   if (x >= left && x < left + 48 && y >= 16 && y < 64)
     return {{1.5f + wave(0.35 * (x - left), 0.3 * y), 1, 0.3f}};
   return {{0.3f, 0.5f + 0.3f * wave(0.21 * x + 1, 0.26 * y), 0.6f}};
@@ -257,8 +265,7 @@ Pixel unmoved(int x, int y, double t) {
 
 TEST_F(GenerationTest, WhatHasNoMotionVectorsIsFoundByItsLooks) {
   const Extent size{144, 80};
-  const FloatImage truth =
-      frame_of(size, [&](int x, int y) { return unmoved(x, y, 2.5); }).color;
+  const FloatImage truth = frame_of(size, [&](int x, int y) { return unmoved(x, y, 2.5); }).color;
   const auto error = [&](const char* name) {
     const auto player = player_of(name, size);
     for (int t = 0; t <= 3; ++t)

@@ -306,7 +306,8 @@ Result<int> play(const Arguments& arguments) {
   const Variant& variant = sandwich.package.variants.front();
   if (arguments.check && generator && arguments.generate == 0 &&
       !has_network(variant, 1 - generator->program))
-    return bad_input("--check", "the network of {} makes pictures between frames; it needs --generate",
+    return bad_input("--check",
+                     "the network of {} makes pictures between frames; it needs --generate",
                      arguments.model);
   const std::vector<Shown> shown =
       shown_pictures(source->frame_count(), generator, arguments.generate);

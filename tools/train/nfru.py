@@ -234,11 +234,6 @@ def by_formula(seed: int = 0) -> Nfru:
     return model
 
 
-def blended(logits: torch.Tensor, samples: torch.Tensor) -> torch.Tensor:
-    """Logits `[n, 4, h, w]` and colours `[n, 4, 3, h, w]` to the picture `[n, 3, h, w]`."""
-    return (torch.softmax(logits, 1).unsqueeze(2) * samples).sum(1)
-
-
 # ---- exact INT8 -------------------------------------------------------------------------------------------
 
 

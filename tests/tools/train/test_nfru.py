@@ -92,14 +92,9 @@ class Training(unittest.TestCase):
     def test_gradients_reach_every_weight_in_both_stages(self):
         for model in (nfru.Nfru(normalized=True), network().train()):
             samples = torch.rand(1, 4, 3, 16, 16)
-            nfru.blended(model(torch.rand(1, 16, 16, 16)), samples).square().mean().backward()
+            nfru_passes.post(model(torch.rand(1, 16, 16, 16)), samples, torch.ones(1, 4, 16, 16)).square().mean().backward()
             for name, value in model.named_parameters():
                 self.assertGreater(float(value.grad.abs().max()), 0.0, name)
-
-    def test_equal_samples_are_the_picture_whatever_the_weights(self):
-        picture = torch.rand(1, 1, 3, 8, 8)
-        found = nfru.blended(10 * torch.randn(1, 4, 8, 8), picture.expand(1, 4, 3, 8, 8))
-        self.assertLess(float((found - picture[:, 0]).abs().max()), 1e-6)
 
     def test_training_starts_near_the_weights_by_hand(self):
         x = torch.rand(1, 16, 24, 24, generator=torch.Generator().manual_seed(2))
