@@ -144,7 +144,7 @@ class Writer {
     if (is_half4 && a_.is_linear) {  // weighed when the numbers are asked for
       function(
           fmt::format("SAMPLED_HALF4 sample_{}(vec2 uv)", a_.handle),
-          fmt::format("const Bilinear b = settled_at(uv, {0}); SAMPLED_HALF4 s; s.part = b.part; "
+          fmt::format("const Bilinear b = bilinear_at(uv, {0}); SAMPLED_HALF4 s; s.part = b.part; "
                       "[[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = "
                       "fetch_{1}(bilinear_texel(b, i, {0})); return s;",
                       size, a_.handle));
@@ -153,7 +153,7 @@ class Writer {
     function(
         fmt::format("{} sample_{}(vec2 uv)", is_half4 ? "SAMPLED_HALF4" : type()->fetched,
                     a_.handle),
-        fmt::format("const Bilinear b = settled_at(uv, {0}); {2} sum = {2}(0); "
+        fmt::format("const Bilinear b = bilinear_at(uv, {0}); {2} sum = {2}(0); "
                     "[[unroll]] for (int i = 0; i < 4; ++i) sum += bilinear_weight(b.part, i) * "
                     "fetch_{1}(bilinear_texel(b, i, {0})); return {3};",
                     size, a_.handle, type()->fetched, is_half4 ? "SAMPLED_HALF4(sum)" : "sum"));

@@ -26,8 +26,8 @@ vec3 texel(ivec2 at) {
   return karis(exposed(finite_color(rgb_of(fetch_color(inside(at, kRender)))), params.exposure));
 }
 
-vec3 history_at(vec2 uv) {
-  const Bilinear b = settled_at(uv, kOutput);
+vec3 history_at(vec2 uv, bool rests) {
+  const Bilinear b = bilinear_at(uv, kOutput, rests);
   const vec4 wx = catmull_rom(b.part.x), wy = catmull_rom(b.part.y);
   vec3 sum = vec3(0.0);
   [[unroll]] for (int y = 0; y < 4; ++y)
@@ -50,7 +50,8 @@ void main() {
 #if STILL
   const vec2 before = uv;
 #else
-  precise const vec2 before = uv - xy_of(fetch_dilated_motion(render));
+  const vec2 motion = xy_of(fetch_dilated_motion(render));
+  precise const vec2 before = uv - motion;
 #endif
   vec3 result = now;
   if (params.reset == 0 && all(greaterThanEqual(before, vec2(0.0))) && all(lessThan(before, vec2(1.0)))) {
@@ -68,7 +69,7 @@ void main() {
 #if STILL
       const vec3 history = rgb_of(fetch_history(at));
 #else
-      const vec3 history = history_at(before);
+      const vec3 history = history_at(before, motion == vec2(0.0));
 #endif
       const vec3 past = max(ycocg_inverse(clamp(ycocg(history), low, high)), 0.0);
       const vec2 q = scene - (vec2(centre) + 0.5);

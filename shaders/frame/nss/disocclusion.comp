@@ -15,7 +15,8 @@ void main() {
   const Block block = block_at(at);
   const vec2 uv = (vec2(at) + 0.5) / vec2(DISOCCLUSION_WIDTH, DISOCCLUSION_HEIGHT);
   const float z = view_z(block.closest);
-  const Bilinear b = settled_at(uv - block_motion(block), kScattered);
+  const vec2 moved = block_motion(block);
+  const Bilinear b = bilinear_at(uv - moved, kScattered, moved == vec2(0.0));
   uint codes[4];
   fetch_scattered(b, codes);
   store_disocclusion(at, disoccluded(b, codes, z, view_z(block.farthest) - z));

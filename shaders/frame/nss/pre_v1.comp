@@ -65,9 +65,9 @@ void fetch_kept(ivec2 at, out Kept kept) {
   }
 }
 #endif
-/// before: uv of the frame before, in the network's picture without padding.
-void fetch_kept(vec2 before, out Kept kept) {
-  kept.at = settled_at(before * vec2(kNetwork) / vec2(kPadded), kPadded);
+/// before: uv of the frame before, in the network's picture without padding; rests: nothing moved.
+void fetch_kept(vec2 before, bool rests, out Kept kept) {
+  kept.at = bilinear_at(before * vec2(kNetwork) / vec2(kPadded), kPadded, rests);
   [[unroll]] for (int i = 0; i < 4; ++i) {
     const ivec2 at = bilinear_texel(kept.at, i, kPadded);
     kept.feedback[i] = codes_temporal(at.y * kPadded.x + at.x);
@@ -111,11 +111,30 @@ SAMPLED_HALF4 still_history(ivec2 at) {
     s.texels[2 * y + 1] = two[1];
   }
   return s;
+#elif SHALE_LINEAR
+  const Bilinear b = settled_at((vec2(at) + 0.5) / vec2(kRender), kOutput);
+  SAMPLED_HALF4 s;
+  s.part = b.part;
+  [[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = fetch_history(bilinear_texel(b, i, kOutput));
+  return s;
 #else
   return sample_history((vec2(at) + 0.5) / vec2(kRender));
 #endif
 }
 #else
+/// The history at uv.
+SAMPLED_HALF4 past_at(vec2 uv, bool rests) {
+#if SHALE_LINEAR
+  const Bilinear b = bilinear_at(uv, kOutput, rests);
+  SAMPLED_HALF4 s;
+  s.part = b.part;
+  [[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = fetch_history(bilinear_texel(b, i, kOutput));
+  return s;
+#else
+  return sample_history(uv);
+#endif
+}
+
 /// raw: as the host gave it.
 vec2 texel_motion(ivec2 at, out HALF2 raw) {
   raw = fetch_motion(at);
@@ -169,15 +188,16 @@ void main() {
     [[unroll]] for (int x = 0; x < 2; ++x) {
       const ivec2 at = base + ivec2(x, y);
       const vec2 before = (vec2(at) + 0.5) / vec2(kRender) - moved[y][x];
-      scattered_at[y][x] = settled_at(before, kScattered);
+      const bool rests = moved[y][x] == vec2(0.0);
+      scattered_at[y][x] = bilinear_at(before, kScattered, rests);
 #if STILL
       past[y][x] = still_history(at);
       block_codes(blocks, scattered_at[y][x].base - (base / 2 - 1), codes[y][x]);
       fetch_kept(at, kept[y][x]);
 #else
-      past[y][x] = sample_history(before);
+      past[y][x] = past_at(before, rests);
       fetch_scattered(scattered_at[y][x], codes[y][x]);
-      fetch_kept(before, kept[y][x]);
+      fetch_kept(before, rests, kept[y][x]);
 #endif
     }
   }
@@ -276,7 +296,7 @@ void main() {
     [[unroll]] for (int x = 0; x < 2; ++x) {
       const ivec2 lane = inside(2 * at + ivec2(x, y), kRender);
       const vec2 lane_moved = texel_motion(closest[y][x].at, raw[y][x]);
-      past += 0.25 * warped(sample_history((vec2(lane) + 0.5) / vec2(kRender) - lane_moved));
+      past += 0.25 * warped(past_at((vec2(lane) + 0.5) / vec2(kRender) - lane_moved, lane_moved == vec2(0.0)));
       const bool leads = (x == 0 && y == 0) || away * closest[y][x].depth < away * nearest;
       nearest = leads ? closest[y][x].depth : nearest;
       moved = leads ? lane_moved : moved;
@@ -294,7 +314,7 @@ void main() {
   fetch_kept(at, kept);
   const bool hidden = false;
 #else
-  fetch_kept(uv - moved, kept);
+  fetch_kept(uv - moved, moved == vec2(0.0), kept);
   const bool hidden = sample_disocclusion(uv) > 0.01;
 #endif
   const Texel texel = network_texel(past, moved, kept, hidden, now, work, around);

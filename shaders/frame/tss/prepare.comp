@@ -36,8 +36,8 @@ float thin_feature(ivec2 at, float centre) {
 float disocclusion_at(ivec2 at) { return 0.0; }
 #else
 /// 1 where what is seen was hidden a frame ago.
-float disoccluded(vec2 uv, float depth) {
-  const Bilinear b = settled_at(uv, kRender);
+float disoccluded(vec2 uv, bool rests, float depth) {
+  const Bilinear b = bilinear_at(uv, kRender, rests);
   const float z = view_z(depth);
   vec2 sum = vec2(0.0);
   [[unroll]] for (int i = 0; i < 4; ++i) {
@@ -50,7 +50,8 @@ float disoccluded(vec2 uv, float depth) {
 }
 float disocclusion_at(ivec2 at) {
   const vec2 uv = (vec2(at) + 0.5) / vec2(kRender);
-  return disoccluded(uv - xy_of(fetch_dilated_motion(at)), fetch_dilated_depth(at));
+  const vec2 motion = xy_of(fetch_dilated_motion(at));
+  return disoccluded(uv - motion, motion == vec2(0.0), fetch_dilated_depth(at));
 }
 #endif
 
