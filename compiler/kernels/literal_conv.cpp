@@ -387,10 +387,7 @@ int64_t LiteralConv::row_parts(const Tiling& tiling) const {
 }
 
 int64_t LiteralConv::cell_tiles(const Tiling& tiling) const {
-  const auto [height, width] = tiles(tiling);
-  const int64_t columns = ceil_div(width, local_x(width));
-  return std::max({problem_.cell_rows / tiling.tile_height, int64_t{1},
-                   ceil_div(height, std::max<int64_t>(kMaxWorkgroups / columns, 1))});
+  return std::max<int64_t>(problem_.cell_rows / tiling.tile_height, 1);
 }
 
 double LiteralConv::fetches(const Tiling& tiling, std::array<int64_t, 2> channels) const {
@@ -448,10 +445,8 @@ KernelSource LiteralConv::finish(const Tiling& tiling, const std::string& body) 
   KernelSource source;
   source.workgroups = {static_cast<uint32_t>(ceil_div(width, local)),
                        static_cast<uint32_t>(row_parts(tiling)), static_cast<uint32_t>(out()[0])};
-  const auto column = [&](int64_t i) {
-    return Stretch{i * local * tiling.tile_width,
-                   std::min((i + 1) * local * tiling.tile_width, out()[2])};
-  };
+  const int64_t wide = local * tiling.tile_width;
+  const auto column = [&](int64_t i) { return Stretch{i * wide, (i + 1) * wide}; };
   codegen_.take_cells(source, column, cell_tiles(tiling) * tiling.tile_height);
   source.glsl = codegen_.finish(
       fmt::format("local_size_x = {}", local),

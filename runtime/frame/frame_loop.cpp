@@ -82,8 +82,7 @@ struct FrameLoop::State {
   uint64_t rendered = 0;  // frames since the histories were cleared
   float time = 1;         // of the picture that is generated
   bool clear_history = true;
-  uint32_t chosen = 0;  // program, where a parameter chooses
-  uint32_t last = 0;    // program that was recorded
+  uint32_t chosen = 0, last = 0;  // programs: where a parameter chooses; the one recorded last
 
   Result<void> create_tensors();
   Result<void> create_images();
@@ -250,7 +249,6 @@ Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
   return {};
 }
 
-/// Where a host finds how much ran.
 Result<void> FrameLoop::State::create_command_copies() {
   for (Program& program : programs) {
     uint64_t words = 0;
@@ -528,11 +526,11 @@ Result<void> FrameLoop::State::record(uint32_t index, VkCommandBuffer commands,
       [&](const Binding& binding) { return target(program, binding); }, program.runs_all,
       timestamps);
   if (slot.commands) copy_commands(commands, program, slot);
+  for (Program& other : programs)
+    for (size_t i = 0; i < variant.resources.size(); ++i)
+      if (program.writes[i] && other.writes[i] && is_graph_tensor(variant.resources[i].category))
+        other.runs_all = true;
   program.runs_all = false;
-  for (size_t i = 0; i < variant.resources.size(); ++i)
-    if (program.writes[i] && is_graph_tensor(variant.resources[i].category))
-      for (Program& other : programs)
-        if (&other != &program && other.writes[i]) other.runs_all = true;
   // The host waits for shaders, whatever wrote its images.
   if (kernels->has_transfers()) kernels->barrier(commands);
   for (const uint32_t resource : program.histories)
@@ -548,16 +546,15 @@ std::optional<double> FrameLoop::share_run(uint32_t records_ago) const {
   if (records_ago >= program.slots.size() || records_ago >= program.records) return std::nullopt;
   const Slot& slot = program.slots[(program.records - 1 - records_ago) % program.slots.size()];
   if (!slot.commands) return std::nullopt;
-  std::span<const uint32_t> words(reinterpret_cast<const uint32_t*>(slot.commands.mapped().data()),
-                                  slot.commands.size_bytes() / sizeof(uint32_t));
+  const uint32_t* words = reinterpret_cast<const uint32_t*>(slot.commands.mapped().data());
   double run = 0, all = 0;
   for (const Segment& segment : state_->segments(program)) {
     if (!segment.tiles) continue;
     double time_us = 0;
     for (const Dispatch& dispatch : segment.dispatches) time_us += dispatch.cost.time_us;
-    run += time_us * shale::share_run(segment, words);
+    run += time_us * shale::share_run(segment, {words, command_words(segment)});
     all += time_us;
-    words = words.subspan(command_words(segment));
+    words += command_words(segment);
   }
   return all > 0 ? run / all : 1;
 }
