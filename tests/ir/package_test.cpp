@@ -723,7 +723,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, dispatch \"conv1\", binding 0: a texel buffer cannot have the view format "
      "rgba8_unorm"},
     {"TexelBufferOfInt32", [](Package& p) { dispatch(p, 1, 0).bindings[0].resource = 2; },
-     "variant 0, dispatch \"conv1\", binding 0: a texel buffer of rgba8_sint views a tensor of type "
+     "variant 0, dispatch \"conv1\", binding 0: a texel buffer of rgba8_sint views a tensor of "
+     "type "
      "INT32"},
     {"BrokenTexels",
      [](Package& p) {

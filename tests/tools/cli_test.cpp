@@ -524,7 +524,7 @@ TEST_F(Cli, ReportNamesTheFirstChangeBetweenTwoVersions) {
       shale("report " + file("a.shale") + " " + file("b.shale") + " --json").text);
   const nlohmann::json& change = packages["comparison"]["first_change"];
   EXPECT_EQ(change["what"], "kernel") << packages["comparison"];
-  EXPECT_EQ(change["before"], "generic");
+  EXPECT_EQ(change["before"], "runs");
   EXPECT_EQ(change["after"], "conv2d_s8_f32exact");
   EXPECT_NE(packages["comparison"]["totals"]["predicted_us"]["change"], 0);
   const nlohmann::json same = nlohmann::json::parse(

@@ -154,7 +154,7 @@ void print_frames(const Json& json, std::FILE* to) {
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
                frame["height"].get<uint32_t>(),
                frame.contains("network") ? ", network " + frame["network"].get<std::string>() : "",
-                timed, passes + ran);
+               timed, passes + ran);
     if (frame.contains("psnr_db"))
       for (const auto& [name, value] : frame["psnr_db"].items())
         fmt::print(to, "  PSNR {:<8} {:.2f} dB\n", name, value.get<double>());

@@ -51,8 +51,9 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
     def image(name: str, role: str, form: str, size, **more) -> dict:
         return {"name": name, "role": role, "format": form, "size": size, **more}
 
-    def shader(name: str, over, reads: list, writes: list, **more) -> dict:
-        return {"name": name, "shader": f"{shaders}/{name}.comp", "over": over, **more, "reads": reads, "writes": writes}
+    def shader(name: str, over, reads: list, writes: list, bounds: dict | None = None, **more) -> dict:
+        return {"name": name, "shader": f"{shaders}/{name}.comp", "over": over, **more, "reads": reads, "writes": writes,
+                **({"bounds": bounds} if bounds else {})}
 
     past = [{"of": name, "frames_back": 1} for name in ("history", "features")]
     rows = {name: {"scale": step, "zero_point": zero} for name, (step, zero) in qrisp.OUTPUT_SCALES.items()}
@@ -91,9 +92,11 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
         "passes": [
             shader("dilate", "moved", ["depth", "motion"], ["moved"]),
             shader("pre", {"of": "render", "divide": [2, 1], "multiple": 2}, ["color", "depth", "moved", *past],
-                   ["input", "warped"], workgroup=[32, 4]),
+                   ["input", "warped"], workgroup=[32, 4],
+                   bounds={"input": [*[[0, 1]] * 6, *["history"] * 3 * scale**2, *["features"] * scale**2]}),
             {"graph": files if len(files) > 1 else files[0]},
-            shader("post", "output", [*qrisp.HEADS, "warped"], ["history", "features", "output"], workgroup=[32, 4]),
+            shader("post", "output", [*qrisp.HEADS, "warped"], ["history", "features", "output"], workgroup=[32, 4],
+                   bounds={"history": [0, 1], "features": "feature"}),
         ],
         "views": [
             {"title": "current colour", "of": "input", "first": 0, "channels": 3},

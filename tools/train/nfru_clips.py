@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
         epilog="example: python3 tools/train/nfru_clips.py --shale build/tools/shale --out build/train/nfru_data --clips 0 120",
     )
     parser.add_argument("--shale", type=Path, required=True, help="the program")
-    parser.add_argument("--scenes", type=Path, default=Path("models/scenes/train"), help="folder of the scenes")
+    parser.add_argument("--scenes", type=Path, default=Path(__file__).resolve().parents[2] / "models" / "scenes" / "train", help="folder of the scenes")
     parser.add_argument("--out", type=Path, required=True, help="data set folder")
     parser.add_argument("--clips", type=int, nargs=2, required=True, metavar=("FIRST", "COUNT"), help="numbers of the clips")
     options = parser.parse_args(arguments)

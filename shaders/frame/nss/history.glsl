@@ -1,7 +1,5 @@
 // shaders/frame/nss/history.glsl -- filtered reads of the history in the post passes, between texels in the exposed
-// Karis domain. Expects the image `history`. Pixels side by side that move alike share most of their texels.
-
-#include "catmull_rom.glsl"
+// Karis domain. Expects the image `history` and catmull_rom.glsl. Pixels side by side that move alike share most of their texels.
 
 vec3 past_texel(ivec2 at) { return karis_of(rgb_of(fetch_history(inside(at, kOutput)))); }
 

@@ -13,6 +13,7 @@
 #include "taps.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+#include "catmull_rom.glsl"
 #include "history.glsl"
 #include "sample.glsl"
 #include "quad.glsl"

@@ -112,7 +112,7 @@ SAMPLED_HALF4 still_history(ivec2 at) {
   }
   return s;
 #elif SHALE_LINEAR
-  const Bilinear b = settled_at((vec2(at) + 0.5) / vec2(kRender), kOutput);
+  const Bilinear b = bilinear_at((vec2(at) + 0.5) / vec2(kRender), kOutput);
   SAMPLED_HALF4 s;
   s.part = b.part;
   [[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = fetch_history(bilinear_texel(b, i, kOutput));
@@ -122,10 +122,10 @@ SAMPLED_HALF4 still_history(ivec2 at) {
 #endif
 }
 #else
-/// The history at uv.
+/// The history at uv. At other ratios than 2 a texel's place has no fraction to settle on.
 SAMPLED_HALF4 past_at(vec2 uv, bool rests) {
 #if SHALE_LINEAR
-  const Bilinear b = bilinear_at(uv, kOutput, rests);
+  const Bilinear b = bilinear_at(uv, kOutput, rests && IS_DOUBLE);
   SAMPLED_HALF4 s;
   s.part = b.part;
   [[unroll]] for (int i = 0; i < 4; ++i) s.texels[i] = fetch_history(bilinear_texel(b, i, kOutput));

@@ -14,6 +14,7 @@
 // in place of a pyramid of brightness are ours, chosen on crops of the test scenes.
 #version 450
 #include "../nss/common.glsl"
+#include "../nss/catmull_rom.glsl"
 #include "../nss/history.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;

@@ -44,8 +44,8 @@ TEST(FrameLowering, KeepsTexelsInBuffersOnACpu) {
   const Compiled compiled = must(compile_frame(frame_options(kFrame)));
   const Variant& variant = compiled.package.variants[0];
   EXPECT_EQ(dispatches_of(variant),
-            (std::vector<std::string>{"take_color copy", "clear_marks clear", "pre pass",
-                                      "y generic", "post pass", "show_shown copy"}));
+            (std::vector<std::string>{"take_color copy", "clear_marks clear", "pre pass", "y runs",
+                                      "post pass", "show_shown copy"}));
   EXPECT_TRUE(is_linear(resource_of(variant, "kept")));
   EXPECT_TRUE(is_linear(resource_of(variant, "marks")));
   EXPECT_TRUE(is_linear(resource_of(variant, "color.linear")));
@@ -230,7 +230,7 @@ TEST(FrameLowering, KeepsNamesOfPassesAndValuesApart) {
   const Compiled compiled =
       must(compile_frame(frame_options(replaced(kFrame, "\"name\": \"pre\"", "\"name\": \"y\""))));
   EXPECT_EQ(dispatches_of(compiled.package.variants[0])[2], "y pass");
-  EXPECT_EQ(dispatches_of(compiled.package.variants[0])[3], "y# generic");
+  EXPECT_EQ(dispatches_of(compiled.package.variants[0])[3], "y# runs");
 }
 
 TEST(FrameLowering, ShadersAndFrameAreInTheProvenance) {
