@@ -363,7 +363,8 @@ Result<void> parse_bounds(const Fields& fields, FramePass& pass) {
   if (!all.is_object() || all.size() > kMaxEntries)
     return bad_input(fields.where(), "\"bounds\" must be at most {} names with ranges",
                      kMaxEntries);
-  for (const auto& [name, json] : all.items()) {
+  for (const auto& [key, json] : all.items()) {
+    const std::string& name = key;  // clang 14 captures no structured bindings
     const std::string where = fmt::format("{}.bounds.{}", fields.where(), name);
     if (std::none_of(pass.bindings.begin(), pass.bindings.end(), [&](const FrameBinding& binding) {
           return binding.writes && binding.name == name;

@@ -245,7 +245,7 @@ Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
   for (const auto& [set, index] : places) *set = descriptors[index];
   for (const auto& [index, program] : fixed)
     SHALE_TRY_VOID(descriptors.write(
-        index, [&](const Binding& binding) { return target(*program, binding); }));
+        index, [&, of = program](const Binding& binding) { return target(*of, binding); }));
   return {};
 }
 
