@@ -1,7 +1,7 @@
 // conv2d_real: conv2d of FP32 or FP16 on CPU drivers, weights in a texel buffer.
 //
 // Meaning of a workgroup: invocations of a row; one makes four output channels of `pixels` neighbouring pixels, its sums
-// in registers. Four input channels of a pixel are one fetch (of one with FP16, two), and so are four weights. The order
+// in registers. Four input channels of a pixel are one fetch (eight of FP16), and so are four weights. The order
 // of a sum is the interpreter's, kernel rows, columns, then channels, each operation rounded alone: on a driver that
 // keeps subnormal numbers the result has the interpreter's bits.
 //

@@ -12,8 +12,7 @@ namespace shale {
 namespace {
 
 constexpr uint32_t kMaxFramesInFlight = 8;
-/// Of the tensors of all graphs together: keeps sums of sizes that a package states far from an
-/// overflow.
+/// Of the tensors of all graphs together: keeps sums of stated sizes far from an overflow.
 constexpr uint64_t kMaxTensorPoolBytes = uint64_t{1} << 48;
 constexpr uint64_t kMaxFrames = uint64_t{1} << 24;  // that are counted; a float holds it
 constexpr VkImageUsageFlags kShaderUsages = VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT;

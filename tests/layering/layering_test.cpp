@@ -61,7 +61,7 @@ const std::vector<Door> kDoors{
     {std::regex("^stb/"), {"tools/"}},
     {std::regex("^OpenEXR/"), {"tools/scene/exr.cpp"}},
     {std::regex("^nlohmann/"),
-     {"compiler/plan/frame.cpp", "compiler/plan/needs.cpp", "compiler/cost/",
+     {"compiler/plan/frame_json.h", "compiler/plan/needs.cpp", "compiler/cost/",
       "compiler/target/caps_json.cpp", "tools/"}},
 };
 
@@ -121,7 +121,7 @@ TEST(Layering, ThirdPartiesComeThroughTheirDoors) {
 }
 
 /// A file that holds more has two jobs.
-constexpr size_t kMostLines = 760;
+constexpr size_t kMostLines = 600;
 
 TEST(Layering, NoFileOfCompilerAndRuntimeIsLong) {
   const fs::path root(SHALE_SOURCE_DIR);
