@@ -8,6 +8,8 @@
 // Weights as literals, which serve int8, are no faster here: they hardly repeat, so that LLVM keeps each as 32 bytes on
 // the stack, and the driver compiles for half a minute. Source: ours.
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 
 #include "compiler/kernels/codegen.h"
@@ -17,7 +19,6 @@ namespace {
 
 constexpr int64_t kLocal = 8;     ///< invocations of a workgroup, along x
 constexpr int64_t kChannels = 4;  ///< output channels of an invocation
-constexpr int64_t kMostWorkgroups = 65535;
 
 int64_t groups(int64_t extent, int64_t each) { return (extent + each - 1) / each; }
 
@@ -40,8 +41,8 @@ class RealEmitter {
   }
 
   bool fits() const {
-    return out_[0] * blocks() <= kMostWorkgroups && out_[1] <= kMostWorkgroups &&
-           workgroups_x() <= kMostWorkgroups;
+    return out_[0] * blocks() <= kMaxWorkgroups && out_[1] <= kMaxWorkgroups &&
+           workgroups_x() <= kMaxWorkgroups;
   }
 
   /// Products, with those that fill tiles and blocks.
