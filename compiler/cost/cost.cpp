@@ -11,6 +11,8 @@ bool is_convolution(Op op) {
          op == Op::kTransposeConv2d;
 }
 
+bool is_transform(Op op) { return op == Op::kFft2d || op == Op::kRfft2d; }
+
 uint64_t elements(const Graph& graph, ValueId id) {
   return static_cast<uint64_t>(element_count(graph.value(id).type.shape).value_or(0));
 }
@@ -60,6 +62,13 @@ uint64_t node_macs(const Graph& graph, const Node& node) {
   if (node.op == Op::kMatmul)
     return elements(graph, node.output) *
            static_cast<uint64_t>(graph.value(node.inputs[0]).type.shape[2]);
+  if (is_transform(node.op)) {
+    // As matrix products over the rows, which the two parts share, and over the columns of both parts.
+    const Shape& in = graph.value(node.inputs[0]).type.shape;
+    const uint64_t row = static_cast<uint64_t>(in[2]) * node.inputs.size(),
+                   column = 2 * static_cast<uint64_t>(in[1]);
+    return elements(graph, node.output) * (row + column);
+  }
   return 0;
 }
 
@@ -69,8 +78,8 @@ uint64_t node_ops(const Graph& graph, const Node& node) {
     case OpKind::kView: return 0;
     case OpKind::kHead: break;
   }
-  if (is_convolution(node.op) || node.op == Op::kMatmul || node.op == Op::kGather ||
-      node.op == Op::kScatter)
+  if (is_convolution(node.op) || is_transform(node.op) || node.op == Op::kMatmul ||
+      node.op == Op::kGather || node.op == Op::kScatter)
     return 0;
   if (node.op == Op::kResize) return 7 * elements(graph, node.output);  // four products, three sums
   if (node.op == Op::kAvgPool2d || node.op == Op::kMaxPool2d) {

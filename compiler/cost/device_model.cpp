@@ -22,7 +22,8 @@ Precision precision_of(const Graph& graph, const Group& group) {
   const DType dtype = graph.value(graph.node(node).inputs[0]).type.dtype;
   switch (dtype) {
     case DType::kInt16: return Precision::kInt16;
-    case DType::kFp16: return Precision::kFp16;
+    case DType::kFp16:
+    case DType::kBf16: return Precision::kFp16;
     case DType::kFp32: return Precision::kFp32;
     default: return Precision::kInt8;
   }

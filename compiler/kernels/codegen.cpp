@@ -19,7 +19,8 @@ const char* memory_type(DType dtype) {
     case DType::kInt16: return "int16_t";
     case DType::kInt32: return "int";
     case DType::kInt48: return "int64_t";
-    case DType::kFp16: return "uint16_t";
+    case DType::kFp16:
+    case DType::kBf16: return "uint16_t";
     case DType::kFp32: return "float";
     default: return "int8_t";
   }
@@ -49,6 +50,23 @@ Position with_coords(Position at, std::vector<std::string> coords) {
   return at;
 }
 
+/// The function of functions.glsl for an operator of floats, or null.
+const char* function_name(Op op) {
+  switch (op) {
+    case Op::kCos: return "real_cos";
+    case Op::kErf: return "real_erf";
+    case Op::kExp: return "real_exp";
+    case Op::kLog: return "real_log";
+    case Op::kPow: return "real_pow";
+    case Op::kReciprocal: return "real_reciprocal";
+    case Op::kRsqrt: return "real_rsqrt";
+    case Op::kSigmoid: return "real_sigmoid";
+    case Op::kSin: return "real_sin";
+    case Op::kTanh: return "real_tanh";
+    default: return nullptr;
+  }
+}
+
 /// Keeps the low `bits` of an int, sign extended.
 std::string narrow(const std::string& expression, DType dtype) {
   const uint32_t bits = dtype_info(dtype).bits;
@@ -67,6 +85,7 @@ Codegen::Codegen(const GroupProblem& problem)
   for (const NodeId id : problem.group.nodes) {
     const Node& node = graph_.node(id);
     look_at(node.output);
+    functions_of_reals_ = functions_of_reals_ || function_name(node.op);
     for (const ValueId input : node.inputs) look_at(input);
   }
 }
@@ -86,6 +105,16 @@ std::string Codegen::real_literal(float value) {
     return value < 0 ? "(" + text + ")" : text;
   }
   return fmt::format("uintBitsToFloat(0x{:08x}u)", std::bit_cast<uint32_t>(value));
+}
+
+std::string Codegen::narrow_call(const char* prefix, DType dtype, const std::string& x) {
+  switch (dtype) {
+    case DType::kFp16: return fmt::format("{}half({})", prefix, x);
+    case DType::kBf16: return fmt::format("{}bf16({})", prefix, x);
+    case DType::kFp8E4M3: return fmt::format("{}e4m3({})", prefix, x);
+    case DType::kFp8E5M2: return fmt::format("{}e5m2({})", prefix, x);
+    default: return x;
+  }
 }
 
 std::string Codegen::extremum(const Node& node, const char* which, const std::string& a,
@@ -181,8 +210,9 @@ std::string Codegen::load_as(ValueId id, const Shape& shape, const Position& at)
       static_cast<uint64_t>(element_count(shape).value_or(0)) < most_texels_)
     return fetch(id, shape, at);
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, false);
-  if (source.type.dtype == DType::kFp16)
-    return fmt::format("from_half(uint(b{}.d[{}]))", binding, linear(at, shape));
+  if (is_float(source.type.dtype) && source.type.dtype != DType::kFp32)
+    return narrow_call("from_", source.type.dtype,
+                       fmt::format("uint(b{}.d[{}])", binding, linear(at, shape)));
   return fmt::format("{}(b{}.d[{}])", register_type(source.type.dtype), binding, linear(at, shape));
 }
 
@@ -201,9 +231,8 @@ std::string Codegen::operand(const Node& node, size_t index, const Position& at)
 std::string Codegen::store(ValueId id, const Position& at, const std::string& expression) {
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, true);
   const TensorType& type = value(id).type;
-  return fmt::format(
-      "  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape), memory_type(type.dtype),
-      type.dtype == DType::kFp16 ? fmt::format("to_half({})", expression) : expression);
+  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape),
+                     memory_type(type.dtype), narrow_call("to_", type.dtype, expression));
 }
 
 std::string Codegen::elementwise(const Node& node, const Position& at) {
@@ -338,7 +367,8 @@ std::string Codegen::real_elementwise(const Node& node, const Position& at) {
     case Op::kGreaterEqual: return compare(">=");
     case Op::kAbs: return fmt::format("abs({})", a);
     case Op::kNegate: return fmt::format("(-{})", a);
-    case Op::kSigmoid: return rounded(fmt::format("sigmoid({})", a), out);
+    case Op::kCeil: return fmt::format("ceil({})", a);
+    case Op::kFloor: return fmt::format("floor({})", a);
     case Op::kClamp:
       return extremum(node, "min",
                       extremum(node, "max", a, literal(node.attrs.get(Attr::kMinVal), in)),
@@ -350,7 +380,11 @@ std::string Codegen::real_elementwise(const Node& node, const Position& at) {
     }
     default: break;
   }
-  SHALE_CHECK(false && "no elementwise operator of floats");
+  const char* const function = function_name(node.op);
+  SHALE_CHECK(function);
+  return rounded(node.op == Op::kPow ? fmt::format("{}({}, {})", function, a, b())
+                                     : fmt::format("{}({})", function, a),
+                 out);
 }
 
 std::string Codegen::view(const Node& node, const Position& at) {
@@ -499,6 +533,7 @@ std::string Codegen::finish(const std::string& local_size, const std::string& bo
   text += "#include \"integer.glsl\"\n";
   if (int64_) text += "#include \"int64.glsl\"\n";
   if (real_) text += "#include \"real.glsl\"\n";
+  if (functions_of_reals_) text += "#include \"functions.glsl\"\n";
   text += fmt::format("\nlayout({}) in;\n\n", local_size);
   for (size_t i = 0; i < bindings_.size(); ++i) {
     const KernelBinding& binding = bindings_[i];

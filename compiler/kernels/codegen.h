@@ -27,7 +27,7 @@ struct Position {
 };
 
 /// Turns nodes into GLSL expressions. Registers hold BOOL, INT4, INT8, INT16 and INT32 as `int`,
-/// INT48 as `int64_t`, FP32 and FP16 as `float`; what computes an FP16 value rounds it. Values of the group that are computed already are found in `locals`.
+/// INT48 as `int64_t`, floating-point types as `float`; what computes a value rounds it to its type. Values of the group that are computed already are found in `locals`.
 class Codegen {
  public:
   explicit Codegen(const GroupProblem& problem);
@@ -117,10 +117,12 @@ class Codegen {
   /// A decimal literal that GLSL accepts, the most negative int included. A float is given by its bits.
   static std::string literal(int64_t value, DType dtype = DType::kInt32);
   static std::string real_literal(float value);
-  /// `expression` (float) rounded to what `dtype`, FP32 or FP16, holds.
+  /// `expression` (float) rounded to what `dtype`, a floating-point type, holds.
   static std::string rounded(const std::string& expression, DType dtype) {
-    return dtype == DType::kFp16 ? fmt::format("round_half({})", expression) : expression;
+    return narrow_call("round_", dtype, expression);
   }
+  /// A call of to_..., from_... or round_... of real.glsl for a type of 16 or 8 bits; `x` alone for others.
+  static std::string narrow_call(const char* prefix, DType dtype, const std::string& x);
   /// The word of elements that lie together, given as expressions of registers. A maximum with a 0 that the driver
   /// cannot know, `none`, keeps LLVM from packing lane by lane in the loop in which Mesa stores: 9 to 15 % of a layer.
   static std::string packed_word(DType dtype, std::span<const std::string> elements);
@@ -143,6 +145,7 @@ class Codegen {
   std::string functions_;
   bool int64_ = false;
   bool real_ = false;
+  bool functions_of_reals_ = false;
   bool texel_tables_ = false;
   uint64_t most_texels_ = 0;
   int64_t cell_columns_ = 0, cell_rows_ = 1;  ///< 0 columns: no cells; rows of the grid in a cell

@@ -45,6 +45,13 @@ std::string Codegen::fetch(ValueId id, const Shape& shape, const Position& at) {
     case DType::kFp16:
       // Exact on CPU drivers, which alone take this way; they convert all lanes in one instruction.
       return fmt::format("unpackHalf2x16({}).{}", word, byte % 4 == 0 ? 'x' : 'y');
+    case DType::kBf16:
+      return fmt::format("uintBitsToFloat({} {})", word, byte % 4 == 0 ? "<< 16" : "& 0xffff0000u");
+    case DType::kFp8E4M3:
+    case DType::kFp8E5M2:
+      return narrow_call("from_", dtype,
+                         lanes == 1 ? fmt::format("uint({})", word)
+                                    : fmt::format("({} >> {})", word, byte % 4 * 8));
     case DType::kInt32: return fmt::format("int({})", word);
     case DType::kInt16: return fmt::format("bitfieldExtract(int({}), {}, 16)", word, byte % 4 * 8);
     default:
@@ -89,7 +96,16 @@ std::string Codegen::packed_word(DType dtype, std::span<const std::string> v) {
   switch (dtype) {
     case DType::kFp32: return fmt::format("floatBitsToUint({})", v[0]);
     case DType::kInt32: return fmt::format("uint({})", v[0]);
-    case DType::kFp16: return packed(fmt::format("to_half({}) | (to_half({}) << 16)", v[0], v[1]));
+    case DType::kFp16:
+    case DType::kBf16:
+      return packed(fmt::format("{} | ({} << 16)", narrow_call("to_", dtype, v[0]),
+                                narrow_call("to_", dtype, v[1])));
+    case DType::kFp8E4M3:
+    case DType::kFp8E5M2:
+      return packed(fmt::format(
+          "{} | ({} << 8) | ({} << 16) | ({} << 24)", narrow_call("to_", dtype, v[0]),
+          narrow_call("to_", dtype, v[1]), narrow_call("to_", dtype, v[2]),
+          narrow_call("to_", dtype, v[3])));
     case DType::kInt16: return packed(fmt::format("uint(({} & 65535) | ({} << 16))", v[0], v[1]));
     default:
       return packed(

@@ -203,7 +203,8 @@ bool conv2d_real_supports(const GroupProblem& problem, const DeviceProfile& prof
   const Graph& graph = *problem.graph;
   const Node& node = graph.node(*problem.group.head);
   const Value& weight = graph.value(node.inputs[1]);
-  if (node.op != Op::kConv2d || !is_float(graph.value(node.inputs[0]).type.dtype) ||
+  const DType dtype = graph.value(node.inputs[0]).type.dtype;
+  if (node.op != Op::kConv2d || (dtype != DType::kFp32 && dtype != DType::kFp16) ||
       !weight.is_constant() || op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView)
     return false;
   // What is multiplied with the zeros around a picture has to be finite.

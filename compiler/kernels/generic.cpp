@@ -352,6 +352,10 @@ class HeadEmitter {
     };
     switch (node_.op) {
       case Op::kReduceSum: step = infix("+"); break;
+      case Op::kReduceProduct:
+        first = "1.0";
+        step = infix("*");
+        break;
       case Op::kReduceAny: step = infix("|"); break;
       case Op::kReduceAll:
         first = "1";

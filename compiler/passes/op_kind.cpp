@@ -31,11 +31,25 @@ OpKind op_kind(const Node& node) {
     case Op::kReduceAny:
     case Op::kReduceMax:
     case Op::kReduceMin:
+    case Op::kReduceProduct:
     case Op::kReduceSum:
+    case Op::kFft2d:
+    case Op::kRfft2d:
     case Op::kGather:
     case Op::kScatter: return OpKind::kHead;
     case Op::kClamp:
+    case Op::kErf:
     case Op::kSigmoid:
+    case Op::kTanh:
+    case Op::kPow:
+    case Op::kCeil:
+    case Op::kCos:
+    case Op::kExp:
+    case Op::kFloor:
+    case Op::kLog:
+    case Op::kReciprocal:
+    case Op::kRsqrt:
+    case Op::kSin:
     case Op::kAdd:
     case Op::kArithmeticRightShift:
     case Op::kBitwiseAnd:

@@ -8,6 +8,7 @@ Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& co
                                              const PassOptions& options) {
   // Shapes come first: the verifier and every later pass need them closed.
   static constexpr std::string_view kNeeded[] = {"infer-shapes"};
+  static constexpr std::string_view kExpand[] = {"expand-fft"};  // kernels know no transform
   static constexpr std::string_view kOptimize[] = {
       "fold-constants",   // before merging, so that computed constants are merged too
       "remove-identity",  // exposes equal operands to merge-equal
@@ -21,11 +22,13 @@ Result<std::vector<PassTiming>> run_pipeline(Graph& graph, const PassContext& co
   };
   SHALE_TRY(std::vector<PassTiming> timings, run_passes(graph, context, options, kNeeded));
   SHALE_TRY_VOID(verify(graph));
-  if (options.optimize) {
-    SHALE_TRY(const std::vector<PassTiming> more, run_passes(graph, context, options, kOptimize));
+  const auto run = [&](std::span<const std::string_view> names) -> Result<void> {
+    SHALE_TRY(const std::vector<PassTiming> more, run_passes(graph, context, options, names));
     timings.insert(timings.end(), more.begin(), more.end());
-    SHALE_TRY_VOID(verify(graph));
-  }
+    return verify(graph);
+  };
+  SHALE_TRY_VOID(run(kExpand));
+  if (options.optimize) SHALE_TRY_VOID(run(kOptimize));
   return timings;
 }
 

@@ -70,6 +70,7 @@ Stretch operand_part(const Graph& graph, const Node& node, size_t index, size_t 
     case Op::kConcat:
     case Op::kReverse:
     case Op::kReduceSum:
+    case Op::kReduceProduct:
     case Op::kReduceMax:
     case Op::kReduceMin:
     case Op::kReduceAny:

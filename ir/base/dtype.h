@@ -68,9 +68,13 @@ inline constexpr bool is_integer(DType dtype) {
          dtype == DType::kInt32 || dtype == DType::kInt48;
 }
 
-/// The floating-point types that Shale computes with.
+inline constexpr bool is_float8(DType dtype) {
+  return dtype == DType::kFp8E4M3 || dtype == DType::kFp8E5M2;
+}
+
 inline constexpr bool is_float(DType dtype) {
-  return dtype == DType::kFp32 || dtype == DType::kFp16;
+  return dtype == DType::kFp32 || dtype == DType::kFp16 || dtype == DType::kBf16 ||
+         is_float8(dtype);
 }
 
 /// Smallest and largest value of an integer or boolean type. INT4 is -7..7, as TOSA 1.0 has it.

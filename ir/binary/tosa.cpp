@@ -157,15 +157,15 @@ class Reader {
       return bad_input(where, "carries the attribute table {}, expected {}",
                        static_cast<uint32_t>(source.attribute_type()), number);
     if (!source.attribute()) return bad_input(where, "has no attribute table");
-    if (!source.outputs() || source.outputs()->size() != 1)
-      return bad_input(where, "has {} results, expected 1",
-                       source.outputs() ? source.outputs()->size() : 0);
+    const std::optional<Op> op = op_from_wire(number);
+    const size_t results = source.outputs() ? source.outputs()->size() : 0;
+    if (const size_t expected = op ? result_count(*op) : 1; results != expected)
+      return bad_input(where, "has {} results, expected {}", results, expected);
     const uint32_t operand_count = source.inputs() ? source.inputs()->size() : 0;
     if (source.op() == tosa::Op::CONST || source.op() == tosa::Op::CONST_SHAPE) {
       if (operand_count != 0) return bad_input(where, "a constant has no operand");
       return read_constant(where, result, source.op() == tosa::Op::CONST);
     }
-    const std::optional<Op> op = op_from_wire(number);
     if (!op) return unsupported(where, "the operator is not supported");
     const OpInfo& info = op_info(*op);
     if (operand_count < info.min_operands || operand_count > info.max_operands)
@@ -179,8 +179,11 @@ class Reader {
     const auto* table = static_cast<const flatbuffers::Table*>(source.attribute());
     for (size_t field = 0; field < info.attrs.size(); ++field)
       SHALE_TRY_VOID(read_attribute(where, *table, field, node));
-    SHALE_TRY(node.output, define(result, where));
-    graph_.nodes.push_back(std::move(node));
+    for (size_t i = 0; i < results; ++i) {
+      SHALE_TRY(node.output, define(text(source.outputs()->Get(static_cast<uint32_t>(i))), where));
+      if (results > 1) node.attrs.set(Attr::kPart, static_cast<int64_t>(i));
+      graph_.nodes.push_back(node);
+    }
     return {};
   }
 
@@ -217,6 +220,7 @@ class Reader {
         node.attrs.set(info.attr, element->get(0));
         return {};
       }
+      case AttrKind::kPart: return {};
     }
     return {};
   }
@@ -260,7 +264,25 @@ class Writer {
         tensors.push_back(tensor(value));
       if (value.is_constant()) operators.push_back(constant(value));
     }
-    for (const Node& node : graph_.nodes) operators.push_back(operation(node));
+    std::vector<bool> written(graph_.nodes.size());
+    for (uint32_t i = 0; i < graph_.nodes.size(); ++i) {
+      const Node& node = graph_.nodes[i];
+      if (written[i]) continue;
+      std::vector<std::string> results(result_count(node.op));
+      if (results.size() == 1) {
+        results[0] = graph_.value(node.output).name;
+      } else {
+        const bool imaginary = node.attrs.flag(Attr::kPart);
+        const std::optional<NodeId> other = graph_.other_part({i}, written);
+        if (other) written[other->index] = true;
+        results[imaginary] = graph_.value(node.output).name;
+        results[!imaginary] = other ? graph_.value(graph_.node(*other).output).name
+                                    : graph_.unique_name(results[imaginary] + ".other");
+        // The file's operator has a result that the graph does not want.
+        if (!other) tensors.push_back(tensor({results[!imaginary], graph_.value(node.output).type, std::nullopt}));
+      }
+      operators.push_back(operation(node, results));
+    }
     const auto block = tosa::CreateTosaBasicBlock(
         builder_, builder_.CreateString(graph_.name), builder_.CreateVector(operators),
         builder_.CreateVector(tensors), names(graph_.inputs), names(graph_.outputs),
@@ -313,7 +335,7 @@ class Writer {
         attribute, inputs, outputs);
   }
 
-  Offset<tosa::TosaOperator> operation(const Node& node) {
+  Offset<tosa::TosaOperator> operation(const Node& node, const std::vector<std::string>& results) {
     const OpInfo& info = op_info(node.op);
     std::vector<Offset<void>> vectors(info.attrs.size());
     for (size_t field = 0; field < info.attrs.size(); ++field) {
@@ -339,13 +361,14 @@ class Writer {
           break;
         case AttrKind::kIntList:
         case AttrKind::kElement: builder_.AddOffset(slot(field), vectors[field]); break;
+        case AttrKind::kPart: break;
         default: builder_.AddElement<uint32_t>(slot(field), static_cast<uint32_t>(value), 0);
       }
     }
     const Offset<void> attribute(builder_.EndTable(start));
     return tosa::CreateTosaOperator(builder_, static_cast<tosa::Op>(info.wire),
                                     static_cast<tosa::Attribute>(info.wire), attribute,
-                                    names(node.inputs), names({node.output}));
+                                    names(node.inputs), builder_.CreateVectorOfStrings(results));
   }
 
   const Graph& graph_;

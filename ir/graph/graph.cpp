@@ -70,6 +70,17 @@ void Graph::replace_uses(ValueId from, ValueId to) {
     if (output == from) output = to;
 }
 
+std::optional<NodeId> Graph::other_part(NodeId id, const std::vector<bool>& taken) const {
+  const Node& own = node(id);
+  Attrs wanted = own.attrs;
+  wanted.set(Attr::kPart, 1 - own.attrs.get(Attr::kPart));
+  for (uint32_t i = id.index + 1; i < nodes.size(); ++i)
+    if (!taken[i] && nodes[i].op == own.op && nodes[i].inputs == own.inputs &&
+        nodes[i].attrs == wanted)
+      return NodeId{i};
+  return std::nullopt;
+}
+
 void Graph::compact() {
   std::vector<bool> used(values.size());
   for (const ValueId id : inputs) used[id.index] = true;

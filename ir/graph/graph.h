@@ -74,6 +74,9 @@ class Graph {
   std::vector<uint32_t> use_counts() const;
   /// Replaces every use of `from`, graph outputs included, by `to`.
   void replace_uses(ValueId from, ValueId to);
+  /// The first node after `id` that is its other part: the same operator of two results over the same operands. Of
+  /// those in `taken` none is it.
+  std::optional<NodeId> other_part(NodeId id, const std::vector<bool>& taken) const;
   /// Drops values that nothing mentions (graph inputs stay) and renumbers the rest in order.
   void compact();
 };

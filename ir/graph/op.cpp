@@ -16,7 +16,7 @@ const std::vector<OpInfo>& op_table() {
   return table;
 }
 
-constexpr std::array<AttrInfo, 19> kAttrs{{
+constexpr std::array<AttrInfo, 21> kAttrs{{
     {Attr::kAxis, "axis", AttrKind::kInt},
     {Attr::kNanMode, "nan_mode", AttrKind::kNanMode},
     {Attr::kKernel, "kernel", AttrKind::kIntList},
@@ -36,13 +36,21 @@ constexpr std::array<AttrInfo, 19> kAttrs{{
     {Attr::kPerChannel, "per_channel", AttrKind::kBool},
     {Attr::kInputUnsigned, "input_unsigned", AttrKind::kBool},
     {Attr::kOutputUnsigned, "output_unsigned", AttrKind::kBool},
+    {Attr::kInverse, "inverse", AttrKind::kBool},
+    {Attr::kPart, "part", AttrKind::kPart},
 }};
 
 constexpr std::array<std::string_view, 3> kResizeModes{"unknown", "nearest", "bilinear"};
 constexpr std::array<std::string_view, 3> kNanModes{"unknown", "propagate", "ignore"};
+constexpr std::array<std::string_view, 2> kParts{"real", "imag"};
 constexpr std::array<std::string_view, 4> kRoundingModes{"unknown", "single", "inexact", "double"};
 
 }  // namespace
+
+size_t result_count(Op op) {
+  const std::vector<Attr>& attrs = op_info(op).attrs;
+  return !attrs.empty() && attrs.back() == Attr::kPart ? kParts.size() : 1;
+}
 
 const OpInfo& op_info(Op op) { return op_table()[static_cast<size_t>(op)]; }
 const AttrInfo& attr_info(Attr attr) { return kAttrs[static_cast<size_t>(attr)]; }
@@ -72,6 +80,7 @@ std::span<const std::string_view> attr_value_names(AttrKind kind) {
     case AttrKind::kResizeMode: return kResizeModes;
     case AttrKind::kNanMode: return kNanModes;
     case AttrKind::kRoundingMode: return kRoundingModes;
+    case AttrKind::kPart: return kParts;
     default: return {};
   }
 }

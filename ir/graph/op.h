@@ -36,6 +36,8 @@ enum class Attr : uint8_t {
   kPerChannel,
   kInputUnsigned,
   kOutputUnsigned,
+  kInverse,
+  kPart,
 };
 
 /// How an attribute is stored on the wire and printed.
@@ -48,6 +50,7 @@ enum class AttrKind : uint8_t {
   kResizeMode,    ///< uint32: 1 nearest, 2 bilinear
   kNanMode,       ///< uint32: 1 propagate, 2 ignore
   kRoundingMode,  ///< uint32: 1 single, 2 inexact, 3 double
+  kPart,          ///< in no file: which result of an operator of two, 0 real, 1 imaginary
 };
 
 struct AttrInfo {
@@ -65,6 +68,8 @@ struct OpInfo {
   std::vector<Attr> attrs;  ///< in wire order: position is the field id of the attribute table
 };
 
+/// Results of the operator in a file, a node each here.
+size_t result_count(Op op);
 const OpInfo& op_info(Op op);
 const AttrInfo& attr_info(Attr attr);
 std::span<const OpInfo> all_ops();

@@ -1,5 +1,6 @@
 #include "ir/graph/tensor.h"
 
+#include "ir/base/float_format.h"
 #include "ir/base/half.h"
 
 namespace shale {
@@ -64,19 +65,29 @@ std::vector<int64_t> Tensor::ints() const {
   return values;
 }
 
-int64_t real_bits(DType dtype, float value) {
-  return dtype == DType::kFp16 ? static_cast<int16_t>(float_to_half(value))
-                               : std::bit_cast<int32_t>(value);
+int64_t element_bits(DType dtype, uint32_t bits) {
+  switch (dtype_info(dtype).host_bytes) {
+    case 1: return static_cast<int8_t>(bits);
+    case 2: return static_cast<int16_t>(bits);
+    default: return static_cast<int32_t>(bits);
+  }
+}
+
+int64_t real_bits(DType dtype, double value) {
+  if (dtype == DType::kFp32) return std::bit_cast<int32_t>(static_cast<float>(value));
+  return element_bits(dtype, encode_float(float_format(dtype), value));
 }
 
 float bits_real(DType dtype, int64_t bits) {
-  return dtype == DType::kFp16 ? half_to_float(static_cast<uint16_t>(bits))
-                               : std::bit_cast<float>(static_cast<int32_t>(bits));
+  const uint32_t low = static_cast<uint32_t>(bits);
+  if (dtype == DType::kFp32) return std::bit_cast<float>(low);
+  if (dtype == DType::kFp16) return half_to_float(static_cast<uint16_t>(low));
+  return static_cast<float>(decode_float(float_format(dtype), low));
 }
 
 float Tensor::real(int64_t index) const { return bits_real(type.dtype, get(index)); }
 
-void Tensor::set_real(int64_t index, float value) { set(index, real_bits(type.dtype, value)); }
+void Tensor::set_real(int64_t index, double value) { set(index, real_bits(type.dtype, value)); }
 
 Tensor Tensor::from_reals(TensorType type, std::span<const float> values) {
   Tensor tensor{std::move(type), {}};

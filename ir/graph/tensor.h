@@ -44,8 +44,8 @@ std::string shape_text(const Shape& shape);
 std::string type_text(const TensorType& type);
 
 /// Data of one tensor, row-major, an element in dtype_info(dtype).host_bytes bytes, little-endian:
-/// BOOL, INT4 and INT8 one byte, INT16 and FP16 two, INT32 and FP32 four, INT48 eight (sign
-/// extended), SHAPE eight.
+/// BOOL, INT4, INT8 and the FP8 types one byte, INT16, FP16 and BF16 two, INT32 and FP32 four, INT48
+/// eight (sign extended), SHAPE eight.
 struct Tensor {
   TensorType type;
   std::vector<uint8_t> bytes;
@@ -59,9 +59,9 @@ struct Tensor {
   int64_t get(int64_t index) const;
   void set(int64_t index, int64_t value);  ///< keeps the low bits
   std::vector<int64_t> ints() const;
-  /// An element of FP32 or FP16, whose get() is the bits; set_real rounds to nearest even.
+  /// An element of a floating-point type, whose get() is the bits; set_real rounds to nearest even, once.
   float real(int64_t index) const;
-  void set_real(int64_t index, float value);
+  void set_real(int64_t index, double value);
   static Tensor from_reals(TensorType type, std::span<const float> values);
   std::vector<float> reals() const;
 
@@ -78,8 +78,10 @@ struct Tensor {
 };
 
 /// What get() gives for a float of this type, and back: how attributes hold floats.
-int64_t real_bits(DType dtype, float value);
+int64_t real_bits(DType dtype, double value);
 float bits_real(DType dtype, int64_t bits);
+/// The same for bits that are known already.
+int64_t element_bits(DType dtype, uint32_t bits);
 
 /// TOSA's encoding of constants: INT4 two an octet, INT48 six bytes, the rest as in Tensor.
 /// Errors: kBadInput if `wire` is shorter than the type needs, or holds an INT4 of -8 or a BOOL

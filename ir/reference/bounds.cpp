@@ -4,7 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "ir/base/half.h"
+#include "ir/base/float_format.h"
+#include "ir/reference/precision.h"
 #include "ir/reference/real.h"
 
 namespace shale {
@@ -43,13 +44,14 @@ Bound flushed(Bound bound) {
 Bound ended(Bound bound, DType dtype) {
   if (bound.is_anything() || is_nan(bound)) return bound;
   bound = flushed(bound);
-  if (dtype == DType::kFp16) {
-    const auto half = [](double x) {
-      return static_cast<double>(half_to_float(float_to_half(static_cast<float>(x))));
-    };
-    bound = {half(float_below(bound.low)), half(float_above(bound.high))};
-  }
-  return bound;
+  if (dtype == DType::kFp32) return bound;
+  const auto narrow = [&](double x) {
+    return static_cast<double>(bits_real(dtype, real_bits(dtype, x)));
+  };
+  bound = {narrow(float_below(bound.low)), narrow(float_above(bound.high))};
+  // Without an infinity what is too large is a NaN.
+  if (std::isnan(bound.low) == std::isnan(bound.high)) return bound;
+  return Bound::anything();
 }
 
 /// An exact interval rounded once.
@@ -125,17 +127,51 @@ Bound compared(Op op, const Bound& a, const Bound& b) {
   return {surely ? 1.0 : 0.0, never ? 0.0 : 1.0};
 }
 
-/// 1 / (1 + e), e = exp(-x) with a relative error of (3 + 2|x|) u: that reaches the result by the
-/// share e / (1 + e), which is sigmoid(-x); the sum adds u, the division 2.5 u. Where e overflows,
-/// from x = -88.7 down, the result is 0.
-Bound sigmoid(const Bound& x, DType dtype) {
+/// What TOSA allows around a value of float32: nothing beyond it, and 0 for what is subnormal; then rounded to `dtype`.
+Bound allowed(double low, double high, DType dtype) {
+  if (std::isnan(low) || std::isnan(high))
+    return std::isnan(low) && std::isnan(high) ? Bound{kNan, kNan} : Bound::anything();
+  const auto bounded = [](double x) { return std::fabs(x) > kLargest ? std::copysign(kInfinity, x) : x; };
+  return ended({bounded(low), bounded(high)}, dtype);
+}
+
+/// A function of a number. The errors are largest at an end of the interval; all but sine, cosine and the reciprocal
+/// across 0 are monotone.
+Bound function(Op op, Bound x, DType dtype) {
   if (x.is_anything() || is_nan(x)) return x;
-  const auto error = [](double at) {
-    const double share = std::isinf(at) ? 0 : (3 + 2 * std::fabs(at)) * real_sigmoid(-at);
-    return kSecondOrder * (share + 3.5) * kUnit;
-  };
-  const double low = x.low < -87 ? 0 : real_sigmoid(x.low) * (1 - error(x.low));
-  return rounded({low, real_sigmoid(x.high) * (1 + error(x.high))}, dtype);
+  x = flushed(x);
+  const auto value = [&](double at) { return real_function(op, at); };
+  const auto error = [&](double at) { return function_error(op, DType::kFp32, at, value(at)); };
+  const double most = std::max(error(x.low), error(x.high));
+  if (op == Op::kSin || op == Op::kCos) {
+    if (x.is_point()) return allowed(value(x.low) - most, value(x.low) + most, dtype);
+    if (!std::isfinite(x.low) || !std::isfinite(x.high)) return Bound::anything();
+    const double centre = value(x.low / 2 + x.high / 2), reach = (x.high - x.low) / 2 + most;
+    return allowed(std::max(centre - reach, -1 - most), std::min(centre + reach, 1 + most), dtype);
+  }
+  // -0 and +0 look alike here, and have different results.
+  if ((op == Op::kReciprocal || op == Op::kRsqrt) && x.low <= 0 && x.high >= 0)
+    return Bound::anything();
+  if (op == Op::kLog && x.low < 0 && x.high >= 0) return Bound::anything();
+  const double a = value(x.low), b = value(x.high);
+  return allowed(std::min(a, b) - most, std::max(a, b) + most, dtype);
+}
+
+Bound power(Bound x, Bound y, DType dtype) {
+  if (x.is_anything() || y.is_anything()) return Bound::anything();
+  if (is_nan(x) || is_nan(y)) return {kNan, kNan};
+  x = flushed(x), y = flushed(y);
+  if (!(x.is_point() && y.is_point()) && x.low <= 0) return Bound::anything();
+  Bound result{kInfinity, -kInfinity};
+  for (const double base : {x.low, x.high})
+    for (const double exponent : {y.low, y.high}) {
+      const double value = real_pow(base, exponent);
+      const double error = pow_error(DType::kFp32, base, exponent, value);
+      if (std::isnan(value)) return {kNan, kNan};
+      if (base == 0 && exponent < 0) return Bound::anything();  // the sign of the 0 decides
+      result = {std::min(result.low, value - error), std::max(result.high, value + error)};
+    }
+  return allowed(result.low, result.high, dtype);
 }
 
 Bound cast(const Bound& x, DType from, DType to) {
@@ -216,15 +252,15 @@ class NodeBounds {
       case Op::kMaxPool2d:
       case Op::kReduceMax:
       case Op::kReduceMin:
+      case Op::kReduceProduct:
       case Op::kReduceSum:
       case Op::kResize: return terms();
+      case Op::kFft2d:
+      case Op::kRfft2d: return transform();
       case Op::kArgmax: return argmax();
-      case Op::kAbs:
       case Op::kCast:
-      case Op::kClamp:
-      case Op::kNegate:
-      case Op::kSigmoid: return unary();
-      default: return binary();
+      case Op::kClamp: return unary();
+      default: return is_function(node_.op) ? unary() : binary();
     }
   }
 
@@ -324,12 +360,12 @@ class NodeBounds {
                  std::max(std::fabs(x.low), std::fabs(x.high))});
           break;
         case Op::kNegate: x = is_nan(x) ? x : flushed(negated(x)); break;
-        case Op::kSigmoid: x = sigmoid(x, type_.dtype); break;
         case Op::kClamp:
           x = smaller(larger(x, limit(Attr::kMinVal), ignores_nan()), limit(Attr::kMaxVal),
                       ignores_nan());
           break;
-        default: x = cast(x, dtype(0), type_.dtype);
+        case Op::kCast: x = cast(x, dtype(0), type_.dtype); break;
+        default: x = function(node_.op, x, type_.dtype);
       }
     }
     return result;
@@ -347,6 +383,7 @@ class NodeBounds {
                           case Op::kAdd:
                           case Op::kSub:
                           case Op::kMul: to = arithmetic(node_.op, a, b, type_.dtype); break;
+                          case Op::kPow: to = power(a, b, type_.dtype); break;
                           case Op::kMaximum: to = larger(a, b, ignores_nan()); break;
                           case Op::kMinimum: to = smaller(a, b, ignores_nan()); break;
                           default: to = compared(node_.op, a, b);
@@ -421,6 +458,7 @@ class NodeBounds {
                                           : larger(best, bound(term), ignores_nan());
       return best;
     }
+    if (node_.op == Op::kReduceProduct) return product(found);
     // A weight of RESIZE is a quotient or one less a quotient: three roundings and a half.
     const double weight_error = node_.op == Op::kResize ? 3.5 * kUnit : 0;
     Bound sum{0, 0};
@@ -455,6 +493,55 @@ class NodeBounds {
       error = kSecondOrder * (error + 2.5 * kUnit * magnitude) / n;
     }
     return ended({sum.low - error, sum.high + error}, type_.dtype);
+  }
+
+  /// In any order, so nothing is known once a part of the product may leave the range of float32.
+  Bound product(const std::vector<RealTerm>& found) const {
+    const auto bound = [&](const RealTerm& term) {
+      return in(0)[static_cast<size_t>(term.element)];
+    };
+    if (std::ranges::any_of(found, [&](const RealTerm& term) { return is_nan(bound(term)); }))
+      return {kNan, kNan};
+    Bound result{1, 1};
+    double largest = 1, smallest = 1;  // of the parts
+    for (const RealTerm& term : found) {
+      if (!is_plain(bound(term))) return Bound::anything();
+      const Bound x = flushed(bound(term));
+      largest *= std::max(reach(x), 1.0);
+      if (x.low > 0 || x.high < 0)
+        smallest *= std::min({std::fabs(x.low), std::fabs(x.high), 1.0});
+      result = corners(result, x, [](double a, double b) { return Bound{a * b, a * b}; });
+    }
+    if (largest > kLargest || smallest < kTiny) return Bound::anything();
+    const double error = gamma(static_cast<double>(found.size())) * reach(result);
+    return ended({result.low - error, result.high + error}, type_.dtype);
+  }
+
+  /// Two sums, each of cosines and sines that are rounded once, over the rows and then over the columns.
+  Bounds transform() const {
+    Bounds result(count(), Bound::anything());
+    const bool complex = node_.op == Op::kFft2d;
+    double magnitude = 0, spread = 0;
+    std::vector<double> middles[2];
+    for (size_t part = 0; part < (complex ? 2u : 1u); ++part)
+      for (const Bound& x : in(part)) {
+        if (!is_plain(x)) return result;
+        middles[part].push_back(middle(flushed(x)));
+        magnitude += reach(flushed(x));
+        spread += radius(flushed(x));
+      }
+    const Shape& shape = type(0).shape;
+    const double n = 2 * static_cast<double>(shape[1] + shape[2]) + 4;
+    const double error = kSecondOrder * gamma(n) * 2 * magnitude + spread +
+                         4 * static_cast<double>(shape[1] * shape[2]) * kTiny;
+    if (2 * magnitude + error > kLargest) return result;
+    const Tensor stand_in{type(0), {}};
+    const Tensor* const operands[] = {&stand_in, &stand_in};
+    const std::vector<double> value =
+        real_fft(Eval(graph_, id_, {operands, node_.inputs.size()}), middles[0], middles[1]);
+    for (size_t i = 0; i < result.size(); ++i)
+      result[i] = ended({value[i] - error, value[i] + error}, type_.dtype);
+    return result;
   }
 
   using Doubles = std::vector<double>;

@@ -12,9 +12,9 @@
 //                   gamma_k = k u / (1 - k u), in any order, with fused multiply-adds or without, and
 //                   with weights that were added beforehand (four roundings are for those)
 //   division        2.5 units in the last place
-//   exp(x)          3 + 2|x| units in the last place
+//   functions       EXP, POW, SIN, ...: what TOSA allows in float32 (precision.h), in which shaders compute them
 //   subnormal       operands and results of arithmetic below 2^-126 may become 0
-//   FP16            rounded to nearest even where an operator ends: shaders do that in integers
+//   narrower types  rounded to nearest even where an operator ends: shaders do that in integers
 //   NaN, infinity   as IEEE 754 has them, where no wider interval leaves them open
 #pragma once
 
@@ -43,7 +43,7 @@ using Bounds = std::vector<Bound>;  ///< of a tensor, row-major
 Result<std::vector<Bounds>> interpret_bounds(const Graph& graph, std::span<const Tensor> inputs,
                                              const InterpreterProgress& progress = {});
 
-/// True if a tensor of the graph is FP32 or FP16, so that its results are bounded and not exact.
+/// True if a tensor of the graph is of a floating-point type, so that its results are bounded and not exact.
 bool has_reals(const Graph& graph);
 
 /// The widest of the intervals, in the tensor's values; infinite where one bounds nothing.

@@ -1,6 +1,8 @@
 // ir/reference/eval_real.cpp -- floating-point operators other than convolutions and matmul.
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <numbers>
 
 #include "ir/reference/real.h"
 
@@ -12,11 +14,12 @@ constexpr int64_t kElementCost = 32;
 
 bool ignores_nan(const Eval& node) { return node.attrs().get(Attr::kNanMode) == kIgnoreNan; }
 
-float binary(Op op, float a, float b, bool ignore_nan) {
+double binary(Op op, float a, float b, bool ignore_nan) {
   switch (op) {
     case Op::kAdd: return a + b;
     case Op::kSub: return a - b;
     case Op::kMul: return a * b;
+    case Op::kPow: return real_pow(a, b);
     case Op::kMaximum: return real_max(a, b, ignore_nan);
     case Op::kMinimum: return real_min(a, b, ignore_nan);
     default: SHALE_CHECK(false && "no binary operator of floats");
@@ -58,6 +61,28 @@ std::array<Near, 2> neighbours(const Eval& node, size_t axis, int64_t out) {
            {std::min(at + 1, node.shape(0)[axis] - 1), distance}}};
 }
 
+/// The radix-2 transform of `count` numbers, in place, a power of two. sign -1 is forward.
+void transform(std::span<std::complex<double>> x, int64_t sign) {
+  const size_t count = x.size();
+  for (size_t i = 1, j = 0; i < count; ++i) {  // bits in reverse
+    size_t bit = count / 2;
+    for (; (j & bit) != 0; bit /= 2) j ^= bit;
+    j ^= bit;
+    if (i < j) std::swap(x[i], x[j]);
+  }
+  std::vector<std::complex<double>> roots(count / 2);
+  for (size_t k = 0; k < roots.size(); ++k)
+    roots[k] = root_of_unity(sign * static_cast<int64_t>(k), static_cast<int64_t>(count));
+  for (size_t half = 1; half < count; half *= 2)
+    for (size_t first = 0; first < count; first += 2 * half)
+      for (size_t k = 0; k < half; ++k) {
+        const std::complex<double> even = x[first + k],
+                                   odd = x[first + half + k] * roots[k * (count / (2 * half))];
+        x[first + k] = even + odd;
+        x[first + half + k] = even - odd;
+      }
+}
+
 /// Stores compute(element) for each element of the result.
 template <typename Compute>
 Tensor each_element(const Eval& node, const Compute& compute) {
@@ -90,7 +115,96 @@ int64_t real_to_int(double value, DType to) {
   return static_cast<int64_t>(whole);
 }
 
-double real_sigmoid(double x) { return 1.0 / (1.0 + std::exp(-x)); }
+bool is_function(Op op) {
+  switch (op) {
+    case Op::kAbs:
+    case Op::kCeil:
+    case Op::kCos:
+    case Op::kErf:
+    case Op::kExp:
+    case Op::kFloor:
+    case Op::kLog:
+    case Op::kNegate:
+    case Op::kReciprocal:
+    case Op::kRsqrt:
+    case Op::kSigmoid:
+    case Op::kSin:
+    case Op::kTanh: return true;
+    default: return false;
+  }
+}
+
+double real_function(Op op, double x) {
+  switch (op) {
+    case Op::kAbs: return std::fabs(x);
+    case Op::kCeil: return std::ceil(x);
+    case Op::kCos: return std::cos(x);
+    case Op::kErf: return std::erf(x);
+    case Op::kExp: return std::exp(x);
+    case Op::kFloor: return std::floor(x);
+    case Op::kLog: return std::log(x);
+    case Op::kNegate: return -x;
+    case Op::kReciprocal: return 1.0 / x;
+    case Op::kRsqrt: return x == 0 ? 1.0 / x : 1.0 / std::sqrt(x);
+    case Op::kSigmoid: return 1.0 / (1.0 + std::exp(-x));
+    case Op::kSin: return std::sin(x);
+    case Op::kTanh: return std::tanh(x);
+    default: SHALE_CHECK(false && "no function of a number");
+  }
+}
+
+double real_pow(double x, double y) {
+  return std::isnan(x) || std::isnan(y) ? std::numeric_limits<double>::quiet_NaN() : std::pow(x, y);
+}
+
+std::complex<double> root_of_unity(int64_t k, int64_t n) {
+  const int64_t turn = (k % n + n) % n;
+  if (4 * turn % n == 0) {
+    constexpr double kCosines[] = {1, 0, -1, 0};
+    const int64_t quarter = 4 * turn / n;
+    return {kCosines[quarter], kCosines[(quarter + 3) % 4]};
+  }
+  return std::polar(1.0, 2 * std::numbers::pi * static_cast<double>(turn) / static_cast<double>(n));
+}
+
+std::vector<double> real_fft(const Eval& node, const std::vector<double>& real,
+                             const std::vector<double>& imaginary) {
+  const Shape& shape = node.shape(0);
+  const size_t batches = static_cast<size_t>(shape[0]), height = static_cast<size_t>(shape[1]),
+               width = static_cast<size_t>(shape[2]);
+  const size_t kept = static_cast<size_t>(node.result_type().shape[2]);
+  const int64_t sign = node.attrs().flag(Attr::kInverse) ? 1 : -1;
+  std::vector<double> result;
+  for (size_t n = 0; n < batches; ++n) {
+    std::vector<std::complex<double>> rows(height * width), column(height);
+    for (size_t i = 0; i < rows.size(); ++i)
+      rows[i] = {real[n * rows.size() + i], imaginary.empty() ? 0 : imaginary[n * rows.size() + i]};
+    for (size_t y = 0; y < height; ++y) transform({rows.data() + y * width, width}, sign);
+    for (size_t x = 0; x < kept; ++x) {
+      for (size_t y = 0; y < height; ++y) column[y] = rows[y * width + x];
+      transform(column, sign);
+      for (size_t y = 0; y < height; ++y) rows[y * width + x] = column[y];
+    }
+    for (size_t y = 0; y < height; ++y)
+      for (size_t x = 0; x < kept; ++x) {
+        const std::complex<double> value = rows[y * width + x];
+        result.push_back(node.attrs().flag(Attr::kPart) ? value.imag() : value.real());
+      }
+  }
+  return result;
+}
+
+Result<Tensor> eval_real_fft(const Eval& node) {
+  const auto doubles = [&](size_t operand) {
+    const std::vector<float> reals = node.in(operand).reals();
+    return std::vector<double>(reals.begin(), reals.end());
+  };
+  const std::vector<double> values =
+      real_fft(node, doubles(0), node.operand_count() > 1 ? doubles(1) : std::vector<double>{});
+  Tensor result = Tensor::zeros(node.result_type());
+  for (size_t i = 0; i < values.size(); ++i) result.set_real(static_cast<int64_t>(i), values[i]);
+  return result;
+}
 
 void real_terms(const Eval& node, int64_t element, std::vector<RealTerm>& terms) {
   terms.clear();
@@ -122,7 +236,7 @@ void real_terms(const Eval& node, int64_t element, std::vector<RealTerm>& terms)
 Result<Tensor> eval_real_terms(const Eval& node) {
   const Tensor& input = node.in(0);
   const bool ignore = ignores_nan(node);
-  return each_element(node, [&](int64_t i, std::vector<RealTerm>& terms) {
+  return each_element(node, [&](int64_t i, std::vector<RealTerm>& terms) -> double {
     real_terms(node, i, terms);
     const auto fold = [&](float start, const auto& combine, bool skip_first) {
       for (size_t k = skip_first ? 1 : 0; k < terms.size(); ++k) start = combine(start, terms[k]);
@@ -148,6 +262,11 @@ Result<Tensor> eval_real_terms(const Eval& node) {
               return a + input.real(t.element) * t.weight_y * t.weight_x;
             },
             false);
+      case Op::kReduceProduct: {
+        double product = 1;
+        for (const RealTerm& term : terms) product *= input.real(term.element);
+        return product;
+      }
       default: {
         const float sum = fold(
             0.0f, [&](float a, const RealTerm& t) { return a + input.real(t.element); }, false);
@@ -189,17 +308,14 @@ Result<Tensor> eval_real_unary(const Eval& node) {
   const bool ignore = ignores_nan(node);
   const float low = bits_real(from, node.attrs().get(Attr::kMinVal)),
               high = bits_real(from, node.attrs().get(Attr::kMaxVal));
-  return each_element(node, [&](int64_t i, std::vector<RealTerm>&) {
-    if (!is_float(from)) return static_cast<float>(input.get(i));
+  return each_element(node, [&](int64_t i, std::vector<RealTerm>&) -> double {
+    if (!is_float(from)) return static_cast<double>(input.get(i));
     const float x = input.real(i);
     switch (node.op()) {
-      case Op::kAbs: return std::fabs(x);
-      case Op::kNegate: return -x;
-      case Op::kSigmoid: return static_cast<float>(real_sigmoid(static_cast<double>(x)));
       // A NaN that is ignored leaves the lower bound, then the upper one is no larger.
       case Op::kClamp: return real_min(real_max(x, low, ignore), high, ignore);
       case Op::kCast: return x;
-      default: SHALE_CHECK(false && "no unary operator of floats");
+      default: return real_function(node.op(), x);
     }
   });
 }

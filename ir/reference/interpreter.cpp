@@ -24,8 +24,22 @@ EvalFunction eval_function(Op op) {
     case Op::kIdentity:
     case Op::kLogicalNot:
     case Op::kNegate:
-    case Op::kSigmoid:
     case Op::kTable: return eval_unary;
+    case Op::kCeil:
+    case Op::kCos:
+    case Op::kErf:
+    case Op::kExp:
+    case Op::kFloor:
+    case Op::kLog:
+    case Op::kReciprocal:
+    case Op::kRsqrt:
+    case Op::kSigmoid:
+    case Op::kSin:
+    case Op::kTanh: return eval_real_unary;
+    case Op::kPow: return eval_real_binary;
+    case Op::kReduceProduct: return eval_real_terms;
+    case Op::kFft2d:
+    case Op::kRfft2d: return eval_real_fft;
     case Op::kAdd:
     case Op::kArithmeticRightShift:
     case Op::kBitwiseAnd:
@@ -66,7 +80,7 @@ EvalFunction eval_function(Op op) {
 }
 
 /// For nodes with a float operand or result; null for those that only move elements about.
-EvalFunction real_function(const Node& node) {
+EvalFunction real_evaluation(const Node& node) {
   switch (node.op) {
     case Op::kConv2d:
     case Op::kConv3d:
@@ -83,8 +97,7 @@ EvalFunction real_function(const Node& node) {
     case Op::kAbs:
     case Op::kCast:
     case Op::kClamp:
-    case Op::kNegate:
-    case Op::kSigmoid: return eval_real_unary;
+    case Op::kNegate: return eval_real_unary;
     case Op::kAdd:
     case Op::kEqual:
     case Op::kGreater:
@@ -122,7 +135,7 @@ Result<Tensor> evaluate_node(const Graph& graph, NodeId id,
   SHALE_CHECK(operands.size() == node.inputs.size());
   EvalFunction function = nullptr;
   if (is_float(operands[0]->type.dtype) || is_float(graph.value(node.output).type.dtype))
-    function = real_function(node);
+    function = real_evaluation(node);
   return (function ? function : eval_function(node.op))(Eval(graph, id, operands));
 }
 

@@ -155,8 +155,7 @@ class Parser {
       if (error != std::errc() || bits >> (dtype_info(dtype).bits - 1) > 1)
         return fail(fmt::format("expected the {} bits of a float", dtype_info(dtype).bits));
       at_ += static_cast<size_t>(stop - start);
-      return dtype == DType::kFp16 ? int64_t{static_cast<int16_t>(bits)}
-                                   : int64_t{static_cast<int32_t>(bits)};
+      return element_bits(dtype, bits);
     }
     float value = 0;
     const auto [stop, error] = std::from_chars(start, end, value);

@@ -45,7 +45,7 @@ std::string element(DType dtype, int64_t value) {
   const float real = bits_real(dtype, value);
   if (std::isnan(real))
     return fmt::format(
-        "0x{:0{}x}", static_cast<uint64_t>(value) & (dtype == DType::kFp16 ? 0xffffu : 0xffffffffu),
+        "0x{:0{}x}", static_cast<uint64_t>(value) & ((uint64_t{1} << dtype_info(dtype).bits) - 1),
         2 * dtype_info(dtype).host_bytes);
   char text[32];
   return {text, std::to_chars(text, text + sizeof(text), real).ptr};

@@ -3,9 +3,7 @@
 #include <algorithm>
 
 namespace shale {
-namespace {
 
-/// "bool, i8 or i16".
 std::string set_text(DTypeSet set) {
   std::string text;
   for (const DTypeInfo& info : kDTypes) {
@@ -17,6 +15,8 @@ std::string set_text(DTypeSet set) {
   return text;
 }
 
+namespace {
+
 /// Values that a scalar attribute of this kind can have.
 IntRange attr_range(Attr attr, DType operand) {
   switch (attr_info(attr).kind) {
@@ -26,6 +26,7 @@ IntRange attr_range(Attr attr, DType operand) {
     // Without effect on integers, so unknown is no fault there.
     case AttrKind::kNanMode: return {is_float(operand) ? kPropagateNan : 0, kIgnoreNan};
     case AttrKind::kResizeMode: return {kNearest, kBilinear};
+    case AttrKind::kPart: return {0, 1};
     case AttrKind::kRoundingMode: return {kSingleRound, kDoubleRound};
     default: return dtype_range(DType::kInt32);
   }
@@ -40,10 +41,6 @@ Result<void> check_type(const TensorType& type, const std::string& where) {
       return bad_input(where, "is {}, a shape value is a list", type_text(type));
     return {};
   }
-  if (!is_integer(type.dtype) && !is_float(type.dtype) && type.dtype != DType::kBool)
-    return unsupported(where,
-                       "is {}, but of the floating-point types only f16 and f32 are supported",
-                       type_text(type));
   if (static_cast<int64_t>(type.shape.size()) > kMaxRank)
     return unsupported(where, "is {} of rank {}, level 8K ends at rank {}", type_text(type),
                        type.shape.size(), kMaxRank);
@@ -172,7 +169,7 @@ Result<void> RuleContext::expect_elements(size_t i, int64_t min, int64_t max) co
 
 Result<void> RuleContext::expect_acc_type(DType of, DType integer) const {
   const DType acc_type = static_cast<DType>(attrs().get(Attr::kAccType));
-  const DType expected = is_float(of) ? DType::kFp32 : integer;
+  const DType expected = is_float8(of) ? DType::kFp16 : is_float(of) ? DType::kFp32 : integer;
   if (acc_type == expected || (of == DType::kFp16 && acc_type == DType::kFp16)) return {};
   return bad("acc_type is {}, expected {}{} for {}", dtype_info(acc_type).wire,
              of == DType::kFp16 ? "FP16 or " : "", dtype_info(expected).wire, describe(0));

@@ -14,8 +14,12 @@ inline constexpr DTypeSet kBool = dtype_bit(DType::kBool), kI4 = dtype_bit(DType
                           kI8 = dtype_bit(DType::kInt8), kI16 = dtype_bit(DType::kInt16),
                           kI32 = dtype_bit(DType::kInt32), kI48 = dtype_bit(DType::kInt48),
                           kF16 = dtype_bit(DType::kFp16), kF32 = dtype_bit(DType::kFp32),
-                          kFloat = kF16 | kF32;
+                          kBF16 = dtype_bit(DType::kBf16),
+                          kF8 = dtype_bit(DType::kFp8E4M3) | dtype_bit(DType::kFp8E5M2),
+                          kFloat = kF16 | kBF16 | kF32;
 constexpr bool contains(DTypeSet set, DType dtype) { return (set & dtype_bit(dtype)) != 0; }
+/// "bool, i8 or i16".
+std::string set_text(DTypeSet set);
 
 /// Limits of level 8K beside kMaxRank and kMaxElements.
 /// Source: TOSA 1.0, levels.
@@ -82,7 +86,7 @@ class RuleContext {
   Result<void> expect_elements(size_t i, int64_t min, int64_t max) const;
 
   /// acc_type of a convolution or pool over operands of type `of`: INT32 for int8, INT48 for int16 in a
-  /// convolution, FP32 for float, FP16 too for fp16.
+  /// convolution, FP16 for fp8, FP32 for other floats, FP16 too for fp16.
   Result<void> expect_acc_type(DType of, DType integer) const;
 
   /// Attribute axis, an axis of operand 0.
@@ -119,6 +123,7 @@ Result<void> check_data(const Value& value, const std::string& where);
 Result<TensorType> rule_conv(const RuleContext& node);  ///< conv2d, conv3d, depthwise_conv2d
 Result<TensorType> rule_transpose_conv2d(const RuleContext& node);
 Result<TensorType> rule_matmul(const RuleContext& node);
+Result<TensorType> rule_fft(const RuleContext& node);  ///< fft2d, rfft2d
 // rules_elementwise.cpp
 Result<TensorType> rule_unary(const RuleContext& node);   ///< the result has the operand's type
 Result<TensorType> rule_binary(const RuleContext& node);  ///< the result has the operands' type

@@ -13,11 +13,14 @@ struct ConvTypes {
   DType weight;
   DType result;  ///< of the bias too, and of integer accumulators
 };
-constexpr std::array<ConvTypes, 5> kConvTypes{{
+constexpr std::array<ConvTypes, 8> kConvTypes{{
     {DType::kInt8, DType::kInt8, DType::kInt32},
     {DType::kInt8, DType::kInt4, DType::kInt32},
     {DType::kInt16, DType::kInt8, DType::kInt48},
+    {DType::kFp8E4M3, DType::kFp8E4M3, DType::kFp16},
+    {DType::kFp8E5M2, DType::kFp8E5M2, DType::kFp16},
     {DType::kFp16, DType::kFp16, DType::kFp16},
+    {DType::kBf16, DType::kBf16, DType::kBf16},
     {DType::kFp32, DType::kFp32, DType::kFp32},
 }};
 
@@ -30,8 +33,8 @@ Result<DType> conv_result_dtype(const RuleContext& node, int64_t weight_channels
   });
   if (row == kConvTypes.end())
     return node.bad(
-        "{} and {}: expected element types i8 and i8, i8 and i4, i16 and i8, f16 and f16, or f32 "
-        "and f32",
+        "{} and {}: expected element types i8 and i8, i8 and i4, i16 and i8, or twice the same "
+        "float",
         node.describe(kInput), node.describe(kWeight));
   SHALE_TRY_VOID(node.expect_acc_type(row->input, row->result));
   if (weight_channels != node.shape(kInput).back())
@@ -105,11 +108,35 @@ Result<TensorType> rule_matmul(const RuleContext& node) {
   SHALE_TRY_VOID(node.expect_type(1, {node.dtype(0), {a[0], a[2], columns}}));
   SHALE_TRY_VOID(node.expect_zero_point(2, node.dtype(0)));
   SHALE_TRY_VOID(node.expect_zero_point(3, node.dtype(0)));
-  // FP16 alone has two result types, so the declared one decides.
-  DType dtype = node.dtype(0) == DType::kInt8 ? DType::kInt32 : DType::kInt48;
-  if (is_float(node.dtype(0)))
-    dtype = node.declared_result().dtype == DType::kFp32 ? DType::kFp32 : node.dtype(0);
-  return TensorType{dtype, {a[0], a[1], columns}};
+  const TensorType result{DType::kInt48, {a[0], a[1], columns}};
+  switch (node.dtype(0)) {
+    case DType::kInt8: return TensorType{DType::kInt32, result.shape};
+    case DType::kInt16: return result;
+    case DType::kFp8E4M3:
+    case DType::kFp8E5M2: return TensorType{DType::kFp16, result.shape};
+    case DType::kFp16:  // alone has two result types, so the declared one decides
+      if (node.declared_result().dtype != DType::kFp32)
+        return TensorType{DType::kFp16, result.shape};
+      [[fallthrough]];
+    default: return TensorType{DType::kFp32, result.shape};
+  }
+}
+
+Result<TensorType> rule_fft(const RuleContext& node) {
+  const Shape& input = node.shape(0);
+  for (size_t axis = 1; axis < 3; ++axis) {
+    if ((input[axis] & (input[axis] - 1)) != 0)
+      return node.bad("{} has {} on axis {}, expected a power of two", node.describe(0),
+                      input[axis], axis);
+    if (input[axis] > kMaxKernel)
+      return node.beyond("{} has {} on axis {}, level 8K ends at {}", node.describe(0), input[axis],
+                         axis, kMaxKernel);
+  }
+  if (node.op() == Op::kFft2d) {
+    SHALE_TRY_VOID(node.expect_type(1, node.type(0)));
+    return node.type(0);
+  }
+  return TensorType{node.dtype(0), {input[0], input[1], input[2] / 2 + 1}};
 }
 
 }  // namespace shale

@@ -84,15 +84,22 @@ Result<TensorType> rule_table(const RuleContext& node) {
 }
 
 Result<TensorType> rule_cast(const RuleContext& node) {
-  const DType to = node.declared_result().dtype;
-  const DTypeSet targets = kI8 | kI16 | kI32 | (node.dtype(0) == DType::kBool ? 0 : kFloat) |
-                           (is_float(node.dtype(0)) ? 0 : kBool);
-  if (to == node.dtype(0) || !contains(targets, to))
-    return node.bad(
-        "casts {} to {}, expected another type out of bool, i8, i16, i32, f16 and f32, and no cast "
-        "between "
-        "bool and a float",
-        node.describe(0), dtype_info(to).name);
+  constexpr DTypeSet kInts = kI8 | kI16 | kI32;
+  const DType from = node.dtype(0), to = node.declared_result().dtype;
+  DTypeSet targets = kInts | kFloat | kBool;
+  switch (from) {
+    case DType::kBool: targets = kInts; break;
+    case DType::kFp8E4M3:
+    case DType::kFp8E5M2: targets = kFloat; break;
+    case DType::kFp16:
+    case DType::kBf16: targets = kInts | kF8 | kF32; break;
+    case DType::kFp32: targets = kInts | kF8 | kF16 | kBF16; break;
+    default: break;
+  }
+  targets &= ~dtype_bit(from);
+  if (!contains(targets, to))
+    return node.bad("casts {} to {}, expected {}", node.describe(0), dtype_info(to).name,
+                    set_text(targets));
   return TensorType{to, node.shape(0)};
 }
 

@@ -9,30 +9,35 @@ namespace shale {
 namespace {
 
 constexpr DTypeSet kAct = kI8 | kI16, kInt = kI8 | kI16 | kI32, kActs = kAct | kFloat,
-                   kNumber = kI32 | kFloat, kNumbers = kInt | kFloat, kAny = kBool | kNumbers;
+                   kSummed = kActs | kF8, kNumber = kI32 | kFloat, kNumbers = kInt | kFloat,
+                   kMoved = kNumbers | kF8, kAny = kBool | kMoved;
 
 /// In the order of ops.def. Types and ranks are those of operand 0.
 constexpr auto kRules = std::to_array<OpRule>({
-    {Op::kArgmax, rule_argmax, kActs, 1, 6, {"input"}},
-    {Op::kAvgPool2d, rule_pool, kActs, 4, 4, {"input", "*input_zp", "*output_zp"}},
-    {Op::kConv2d, rule_conv, kActs, 4, 4, {"input", "weight", "bias", "*input_zp", "*weight_zp"}},
-    {Op::kConv3d, rule_conv, kActs, 5, 5, {"input", "weight", "bias", "*input_zp", "*weight_zp"}},
+    {Op::kArgmax, rule_argmax, kSummed, 1, 6, {"input"}},
+    {Op::kAvgPool2d, rule_pool, kSummed, 4, 4, {"input", "*input_zp", "*output_zp"}},
+    {Op::kConv2d, rule_conv, kSummed, 4, 4, {"input", "weight", "bias", "*input_zp", "*weight_zp"}},
+    {Op::kConv3d, rule_conv, kSummed, 5, 5, {"input", "weight", "bias", "*input_zp", "*weight_zp"}},
     {Op::kDepthwiseConv2d,
      rule_conv,
-     kActs,
+     kSummed,
      4,
      4,
      {"input", "weight", "bias", "*input_zp", "*weight_zp"}},
-    {Op::kMatmul, rule_matmul, kActs, 3, 3, {"a", "b", "*a_zp", "*b_zp"}},
-    {Op::kMaxPool2d, rule_pool, kActs, 4, 4, {"input"}},
+    {Op::kFft2d, rule_fft, kF32, 3, 3, {"input_real", "input_imag"}},
+    {Op::kMatmul, rule_matmul, kSummed, 3, 3, {"a", "b", "*a_zp", "*b_zp"}},
+    {Op::kMaxPool2d, rule_pool, kSummed, 4, 4, {"input"}},
+    {Op::kRfft2d, rule_fft, kF32, 3, 3, {"input_real"}},
     {Op::kTransposeConv2d,
      rule_transpose_conv2d,
-     kActs,
+     kSummed,
      4,
      4,
      {"input", "weight", "bias", "*input_zp", "*weight_zp"}},
     {Op::kClamp, rule_clamp, kActs, 0, 6, {"input"}},
+    {Op::kErf, rule_unary, kFloat, 0, 6, {"input"}},
     {Op::kSigmoid, rule_unary, kFloat, 0, 6, {"input"}},
+    {Op::kTanh, rule_unary, kFloat, 0, 6, {"input"}},
     {Op::kAdd, rule_binary, kNumber, 0, 6, {"input1", "input2"}},
     {Op::kArithmeticRightShift, rule_shift, kInt, 0, 6, {"input1", "input2"}},
     {Op::kBitwiseAnd, rule_binary, kInt, 0, 6, {"input1", "input2"}},
@@ -47,13 +52,22 @@ constexpr auto kRules = std::to_array<OpRule>({
     {Op::kMaximum, rule_binary, kNumber, 0, 6, {"input1", "input2"}},
     {Op::kMinimum, rule_binary, kNumber, 0, 6, {"input1", "input2"}},
     {Op::kMul, rule_mul, kNumbers, 0, 6, {"input1", "input2", "*shift"}},
+    {Op::kPow, rule_binary, kFloat, 0, 6, {"input1", "input2"}},
     {Op::kSub, rule_binary, kNumber, 0, 6, {"input1", "input2"}},
     {Op::kTable, rule_table, kAct, 0, 6, {"input", "*table"}},
     {Op::kAbs, rule_unary, kNumber, 0, 6, {"input"}},
     {Op::kBitwiseNot, rule_unary, kInt, 0, 6, {"input"}},
+    {Op::kCeil, rule_unary, kFloat, 0, 6, {"input"}},
     {Op::kClz, rule_unary, kI32, 0, 6, {"input"}},
+    {Op::kCos, rule_unary, kFloat, 0, 6, {"input"}},
+    {Op::kExp, rule_unary, kFloat, 0, 6, {"input"}},
+    {Op::kFloor, rule_unary, kFloat, 0, 6, {"input"}},
+    {Op::kLog, rule_unary, kFloat, 0, 6, {"input"}},
     {Op::kLogicalNot, rule_unary, kBool, 0, 6, {"input"}},
     {Op::kNegate, rule_negate, kNumbers, 0, 6, {"input", "*input_zp", "*output_zp"}},
+    {Op::kReciprocal, rule_unary, kFloat, 0, 6, {"input"}},
+    {Op::kRsqrt, rule_unary, kFloat, 0, 6, {"input"}},
+    {Op::kSin, rule_unary, kFloat, 0, 6, {"input"}},
     {Op::kSelect, rule_select, kBool, 0, 6, {"condition", "on_true", "on_false"}},
     {Op::kEqual, rule_compare, kNumber, 0, 6, {"input1", "input2"}},
     {Op::kGreater, rule_compare, kNumber, 0, 6, {"input1", "input2"}},
@@ -62,6 +76,7 @@ constexpr auto kRules = std::to_array<OpRule>({
     {Op::kReduceAny, rule_reduce, kBool, 1, 6, {"input"}},
     {Op::kReduceMax, rule_reduce, kNumbers, 1, 6, {"input"}},
     {Op::kReduceMin, rule_reduce, kNumbers, 1, 6, {"input"}},
+    {Op::kReduceProduct, rule_reduce, kFloat, 1, 6, {"input"}},
     {Op::kReduceSum, rule_reduce, kNumber, 1, 6, {"input"}},
     {Op::kConcat, rule_concat, kAny, 1, 6, {"input"}},
     {Op::kPad, rule_pad, kAny, 1, 6, {"input", "*padding", "*pad_const"}},
@@ -70,8 +85,8 @@ constexpr auto kRules = std::to_array<OpRule>({
     {Op::kSlice, rule_slice, kAny, 1, 6, {"input", "*start", "*size"}},
     {Op::kTile, rule_tile, kAny, 1, 6, {"input", "*multiples"}},
     {Op::kTranspose, rule_transpose, kAny, 1, 6, {"input"}},
-    {Op::kGather, rule_gather, kNumbers, 3, 3, {"values", "indices"}},
-    {Op::kScatter, rule_scatter, kNumbers, 3, 3, {"values_in", "indices", "input"}},
+    {Op::kGather, rule_gather, kMoved, 3, 3, {"values", "indices"}},
+    {Op::kScatter, rule_scatter, kMoved, 3, 3, {"values_in", "indices", "input"}},
     {Op::kResize, rule_resize, kActs, 4, 4, {"input", "*scale", "*offset", "*border"}},
     {Op::kCast, rule_cast, kAny, 0, 6, {"input"}},
     {Op::kRescale,
@@ -183,6 +198,10 @@ class ValueChecker {
 };
 
 }  // namespace
+
+bool accepts(Op op, DType dtype) {
+  return contains(kRules[static_cast<size_t>(op)].types, dtype);
+}
 
 Result<TensorType> infer_result(const Graph& graph, NodeId id) {
   const OpRule& rule = kRules[static_cast<size_t>(graph.node(id).op)];

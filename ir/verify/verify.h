@@ -21,6 +21,9 @@ inline constexpr int64_t kMaxGraphBytes = int64_t{1} << 36;
 /// section 1.7.
 Result<TensorType> infer_result(const Graph& graph, NodeId id);
 
+/// True if the operator takes a first operand of this type.
+bool accepts(Op op, DType dtype);
+
 enum class OpenSizes {
   kRefused,  ///< the first input that needs a shape is named
   kAllowed   ///< nodes with an open operand or result are not checked by their rule

@@ -1,5 +1,6 @@
 #include "compiler/passes/op_kind.h"
 #include "compiler/passes/pass.h"
+#include "ir/reference/precision.h"
 #include "tests/compiler/graph_support.h"
 
 namespace shale {
@@ -55,6 +56,38 @@ class PassTest : public testing::Test {
     EXPECT_EQ(run_pass(name, text), (PassOutput{Change::kNone, normal_text(text)}));
   }
 };
+
+// expand-fft
+
+TEST(ExpandFft, WritesTransformsAsProductsWithinTheBounds) {
+  const Graph before = graph_of(
+      "graph g { input %x : f32[2,4,8] input %y : f32[2,4,8] "
+      "%re = fft2d %x, %y {part=real} : f32[2,4,8] %im = fft2d %x, %y {part=imag} : f32[2,4,8] "
+      "%back = fft2d %y, %x {inverse=true, local_bound=true, part=real} : f32[2,4,8] "
+      "%half = rfft2d %x {local_bound=true, part=imag} : f32[2,4,5] return %re, %im, %back, %half }");
+  Graph after = before;
+  EXPECT_EQ(must(shale::run_pass(*find_pass("expand-fft"), after, {})), Change::kChanged);
+  must(verify(after));
+  size_t products = 0;
+  for (const Node& node : after.nodes) products += node.op == Op::kMatmul ? 1 : 0;
+  EXPECT_EQ(products, 3u + 4u) << "rows once for both parts, columns for each";
+  std::vector<Tensor> inputs(2, Tensor::zeros({DType::kFp32, {2, 4, 8}}));
+  for (int64_t i = 0; i < 128; ++i)
+    inputs[static_cast<size_t>(i % 2)].set_real(i / 2, static_cast<double>(i * 37 % 101) / 25 - 2);
+  const std::vector<Tensor> found = must(interpret(after, inputs));
+  for (uint32_t i = 0; i < before.nodes.size(); ++i) {
+    const Tensor* const operands[] = {&inputs[before.nodes[i].inputs[0].index],
+                                      &inputs[before.nodes[i].inputs.back().index]};
+    const auto expected =
+        must(node_precision(before, {i}, {operands, before.nodes[i].inputs.size()}));
+    EXPECT_EQ(first_imprecise(found[i], expected).value_or(""), "") << i;
+  }
+  Graph large = graph_of(
+      "graph g { input %x : f32[1,1,2048] %y = rfft2d %x {part=real} : f32[1,1,1025] return %y }");
+  EXPECT_NE(error_text(shale::run_pass(*find_pass("expand-fft"), large, {}))
+                .find("transforms 2048 elements on an axis, the limit is 1024"),
+            std::string::npos);
+}
 
 TEST(PassTable, FindsPassesByName) {
   for (const PassInfo& pass : all_passes()) EXPECT_EQ(find_pass(pass.name), &pass);
@@ -834,7 +867,7 @@ TEST(Pipeline, RunsItsPassesInOrderAndReportsEach) {
          seen.emplace_back(pass);
        }}));
   const std::vector<std::string> order{
-      "infer-shapes",   "fold-constants", "remove-identity", "merge-equal",      "fold-zero-point",
+      "infer-shapes",   "expand-fft",     "fold-constants", "remove-identity", "merge-equal",      "fold-zero-point",
       "fold-constants", "remove-dead",    "copy-views",      "fuse-elementwise", "fuse-views"};
   EXPECT_EQ(seen, order);
   ASSERT_EQ(timings.size(), order.size());
@@ -846,14 +879,15 @@ TEST(Pipeline, RunsItsPassesInOrderAndReportsEach) {
   EXPECT_EQ(groups[1].nodes.size(), 4u);  // pad, conv2d, rescale, clamp
 }
 
-TEST(Pipeline, WithoutOptimizationOnlyInfersShapes) {
+TEST(Pipeline, WithoutOptimizationOnlyDoesWhatIsNeeded) {
   Graph graph = graph_of(two_layers());
   const std::string before = print_text(graph);
   const auto timings =
       must(run_pipeline(graph, {}, {.optimize = false, .verify_each = false, .after = {}}));
-  ASSERT_EQ(timings.size(), 1u);
+  ASSERT_EQ(timings.size(), 2u);
   EXPECT_EQ(timings[0].pass, "infer-shapes");
   EXPECT_EQ(timings[0].change, Change::kNone);
+  EXPECT_EQ(timings[1].pass, "expand-fft");
   EXPECT_EQ(print_text(graph), before);
 }
 

@@ -156,9 +156,15 @@ TEST(RealVerify, RefusesWhatTheFloatingPointProfileHasNot) {
   };
   says("input %x : f32[2] input %y : f16[2] %z = add %x, %y : f32[2] return %z",
        "has the wrong element type, expected f32");
-  says("input %x : bf16[2] %z = abs %x : bf16[2] return %z", "only f16 and f32");
+  says("input %x : f8e4m3[2] %z = abs %x : f8e4m3[2] return %z",
+       "expected i32, f32, f16 or bf16");
+  says("input %x : f16[2] %z = cast %x : bf16[2] return %z", "expected i8, i16, i32, f32, f8e4m3");
+  says("input %x : f32[1,3,4] %z = rfft2d %x {part=real} : f32[1,3,3] return %z",
+       "has 3 on axis 1, expected a power of two");
+  says("input %x : f32[1,2,16384] %z = rfft2d %x {part=imag} : f32[1,2,8193] return %z",
+       "level 8K ends at 8192");
   says("input %x : f32[2] %z = clz %x : f32[2] return %z", "expected i32");
-  says("input %x : i8[2] %z = sigmoid %x : i8[2] return %z", "expected f32 or f16");
+  says("input %x : i8[2] %z = sigmoid %x : i8[2] return %z", "expected f32, f16 or bf16");
   says("input %x : f32[2] %z = clamp %x {min_val=2, max_val=1, nan_mode=ignore} : f32[2] return %z",
        "numbers in order");
   says(
@@ -167,8 +173,8 @@ TEST(RealVerify, RefusesWhatTheFloatingPointProfileHasNot) {
       "numbers in order");
   says("input %x : f32[2] %z = clamp %x {min_val=0, max_val=1} : f32[2] return %z",
        "nan_mode is 0, expected 1 to 2");
-  says("input %x : f32[2] %z = cast %x : bool[2] return %z", "no cast between");
-  says("input %x : bool[2] %z = cast %x : f32[2] return %z", "no cast between");
+  says("input %x : f32[2] %z = cast %x : bool[2] return %z", "to bool, expected i8");
+  says("input %x : bool[2] %z = cast %x : f32[2] return %z", "to f32, expected i8, i16 or i32");
   says(
       "input %x : f16[1,1,1] input %y : f16[1,1,1] const %o : f16[1] = [1] "
       "%z = matmul %x, %y, %o, %o : f16[1,1,1] return %z",

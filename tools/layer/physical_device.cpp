@@ -2,7 +2,11 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <optional>
+#include <utility>
+#include <vector>
 
+#include "ir/verify/verify.h"
 #include "tools/layer/chain.h"
 #include "tools/layer/extensions.h"
 #include "tools/layer/tensor.h"
@@ -25,11 +29,37 @@ constexpr Offer kOffers[] = {
 
 constexpr VkDataGraphTOSANameQualityARM kProfiles[] = {
     {"PRO-INT",
-     VK_DATA_GRAPH_TOSA_QUALITY_ACCELERATED_ARM | VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}};
-constexpr VkDataGraphTOSANameQualityARM kTosaExtensions[] = {
-    {"EXT-INT16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
-    {"EXT-INT4", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
-    {"EXT-DOUBLEROUND", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}};
+     VK_DATA_GRAPH_TOSA_QUALITY_ACCELERATED_ARM | VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
+    {"PRO-FP", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}};
+
+/// An extension, and an operator and a type that only it has.
+struct TosaExtension {
+  VkDataGraphTOSANameQualityARM quality;
+  std::optional<std::pair<Op, DType>> witness = {};
+};
+constexpr TosaExtension kTosaExtensions[] = {
+    {{"EXT-INT16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}, std::pair{Op::kConv2d, DType::kInt16}},
+    {{"EXT-INT4", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}},
+    {{"EXT-DOUBLEROUND", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}},
+    {{"EXT-BF16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}, std::pair{Op::kConv2d, DType::kBf16}},
+    {{"EXT-FP8E4M3", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
+     std::pair{Op::kConv2d, DType::kFp8E4M3}},
+    {{"EXT-FP8E5M2", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
+     std::pair{Op::kConv2d, DType::kFp8E5M2}},
+    // Up to 1024 elements on an axis, where the level asks for 8192.
+    {{"EXT-FFT", VK_DATA_GRAPH_TOSA_QUALITY_EXPERIMENTAL_ARM}, std::pair{Op::kFft2d, DType::kFp32}}};
+
+/// Those whose operators and types the verifier's table has.
+const std::vector<VkDataGraphTOSANameQualityARM>& tosa_extensions() {
+  static const std::vector<VkDataGraphTOSANameQualityARM> list = [] {
+    std::vector<VkDataGraphTOSANameQualityARM> found;
+    for (const TosaExtension& each : kTosaExtensions)
+      if (!each.witness || accepts(each.witness->first, each.witness->second))
+        found.push_back(each.quality);
+    return found;
+  }();
+  return list;
+}
 
 /// The two-call pattern of Vulkan over a list of our own.
 template <typename T, typename Write>
@@ -395,8 +425,8 @@ VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphEngineOperationProperti
             VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_TOSA_PROPERTIES_ARM)) {
       tosa->profileCount = static_cast<uint32_t>(std::size(kProfiles));
       tosa->pProfiles = kProfiles;
-      tosa->extensionCount = static_cast<uint32_t>(std::size(kTosaExtensions));
-      tosa->pExtensions = kTosaExtensions;
+      tosa->extensionCount = static_cast<uint32_t>(tosa_extensions().size());
+      tosa->pExtensions = tosa_extensions().data();
       tosa->level = VK_DATA_GRAPH_TOSA_LEVEL_8K_ARM;
     }
     return VK_SUCCESS;

@@ -1,10 +1,11 @@
-// shale conform: runs TOSA test cases and compares bit for bit.
+// shale conform: runs TOSA test cases and compares bit for bit, or within errors that a case gives.
 #include <algorithm>
 #include <filesystem>
 
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
 #include "ir/reference/interpreter.h"
+#include "ir/reference/precision.h"
 #include "ir/verify/verify.h"
 #include "tools/shale/command.h"
 #include "tools/shale/device_run.h"
@@ -84,16 +85,53 @@ class Runner {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file((folder / file).string()));
     SHALE_TRY(const Graph graph, import_model(bytes));
     SHALE_TRY_VOID(verify(graph));
-    std::vector<Tensor> inputs, expected;
+    std::vector<Tensor> inputs;
+    std::vector<Expected> expected;
     if (must_accept) {
-      SHALE_TRY(inputs, read_arrays(folder, description, "inputs", graph, graph.inputs));
-      SHALE_TRY(expected, read_arrays(folder, description, "outputs", graph, graph.outputs));
+      for (const ValueId id : graph.inputs) {
+        SHALE_TRY(const std::string array, file_of(folder, description, "inputs", "file", graph, id));
+        SHALE_TRY(inputs.emplace_back(), read_npy(array, graph.value(id).type));
+      }
+      for (const ValueId id : graph.outputs) {
+        SHALE_TRY(expected.emplace_back(), read_expected(folder, description, graph, id));
+      }
     }
     SHALE_TRY(const std::vector<Tensor> outputs, compute(graph, bytes, inputs, must_accept));
     for (size_t i = 0; i < expected.size(); ++i)
-      if (const auto difference = first_difference(outputs[i], expected[i]))
+      if (const auto difference = expected[i].difference(outputs[i]))
         return fmt::format("output \"{}\": {}", graph.value(graph.outputs[i]).name, *difference);
     return std::string();
+  }
+
+  /// An output bit for bit, or in double precision with the error that each element may have.
+  struct Expected {
+    Tensor exact;
+    std::vector<Precision> within;
+
+    std::optional<std::string> difference(const Tensor& found) const {
+      return within.empty() ? first_difference(found, exact) : first_imprecise(found, within);
+    }
+  };
+
+  static Result<Expected> read_expected(const fs::path& folder, const Json& description,
+                                        const Graph& graph, ValueId id) {
+    const TensorType& type = graph.value(id).type;
+    SHALE_TRY(const std::string file, file_of(folder, description, "outputs", "file", graph, id));
+    Expected expected;
+    const Result<std::string> errors =
+        file_of(folder, description, "outputs", "error", graph, id);
+    if (!errors) {
+      SHALE_TRY(expected.exact, read_npy(file, type));
+      return expected;
+    }
+    SHALE_TRY(const std::vector<double> values, read_npy_doubles(file, type.shape));
+    SHALE_TRY(const std::vector<double> error, read_npy_doubles(*errors, type.shape));
+    for (size_t i = 0; i < values.size(); ++i) {
+      if (!(error[i] >= 0))
+        return bad_input(*errors, "has {} at element {}, expected 0 or more", error[i], i);
+      expected.within.push_back({values[i], error[i]});
+    }
+    return expected;
   }
 
   Result<std::vector<Tensor>> compute(const Graph& graph, const std::vector<uint8_t>& bytes,
@@ -106,21 +144,17 @@ class Runner {
     return must_accept ? run_network(*device_, package, inputs) : std::vector<Tensor>{};
   }
 
-  static Result<std::vector<Tensor>> read_arrays(const fs::path& folder, const Json& description,
-                                                 const char* key, const Graph& graph,
-                                                 const std::vector<ValueId>& ids) {
-    std::vector<Tensor> tensors;
-    for (const ValueId id : ids) {
-      const Value& value = graph.value(id);
-      std::string file;
-      for (const Json& entry : description.value(key, Json::array()))
-        if (entry.value("name", "") == value.name) file = entry.value("file", "");
-      if (file.empty())
-        return bad_input((folder / "desc.json").string(), "names no file for \"{}\"", value.name);
-      SHALE_TRY(Tensor tensor, read_npy((folder / file).string(), value.type));
-      tensors.push_back(std::move(tensor));
-    }
-    return tensors;
+  /// The file that the description's list `list` names as `key` for a value.
+  static Result<std::string> file_of(const fs::path& folder, const Json& description,
+                                     const char* list, const char* key, const Graph& graph,
+                                     ValueId id) {
+    const std::string& name = graph.value(id).name;
+    std::string file;
+    for (const Json& entry : description.value(list, Json::array()))
+      if (entry.value("name", "") == name) file = entry.value(key, "");
+    if (file.empty())
+      return bad_input((folder / "desc.json").string(), "names no {} for \"{}\"", key, name);
+    return (folder / file).string();
   }
 
   const Arguments& arguments_;

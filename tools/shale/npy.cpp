@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cstring>
 #include <string_view>
 
 #include "ir/base/file.h"
@@ -15,7 +16,10 @@ std::string_view descr_of(DType dtype) {
   switch (dtype) {
     case DType::kBool: return "|b1";
     case DType::kInt4:
+    case DType::kFp8E4M3:
+    case DType::kFp8E5M2:
     case DType::kInt8: return "|i1";
+    case DType::kBf16:
     case DType::kInt16: return "<i2";
     case DType::kInt32: return "<i4";
     case DType::kFp16: return "<f2";
@@ -73,6 +77,33 @@ Result<Header> parse_header(const std::string& path, const std::vector<uint8_t>&
   return Header{header, std::move(shape), header_at + header_size};
 }
 
+/// The bytes of the elements, which must be of type `descr` and have this shape, `element_bytes` each.
+/// `meant` goes into the message.
+Result<std::vector<uint8_t>> read_array(const std::string& path, std::string_view descr,
+                                        const Shape& wanted_shape, int64_t element_bytes,
+                                        std::string_view meant) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  SHALE_TRY(const Header parsed, parse_header(path, bytes));
+  const auto& [header, shape, data_at] = parsed;
+  const std::string_view found = field(header, "descr");
+  const std::string wanted = fmt::format("'{}'", descr);
+  if (!found.starts_with(wanted))
+    return bad_input(path, "found element type {}, expected {} for {}",
+                     found.substr(0, found.find(',')), wanted, meant);
+  if (!field(header, "fortran_order").starts_with("False"))
+    return bad_input(path, "is in Fortran order, expected C order");
+  if (shape != wanted_shape)
+    return bad_input(path, "found shape {}, expected {}", shape_text(shape),
+                     shape_text(wanted_shape));
+  const std::optional<int64_t> count = element_count(shape);
+  if (!count) return bad_input(path, "shape {} is not supported", shape_text(shape));
+  const size_t size = static_cast<size_t>(*count * element_bytes);
+  if (bytes.size() - data_at < size)
+    return bad_input(path, "found {} bytes of data, expected {}", bytes.size() - data_at, size);
+  const auto data = bytes.begin() + static_cast<std::ptrdiff_t>(data_at);
+  return std::vector<uint8_t>(data, data + static_cast<std::ptrdiff_t>(size));
+}
+
 }  // namespace
 
 Result<Shape> npy_shape(const std::string& path) {
@@ -82,28 +113,18 @@ Result<Shape> npy_shape(const std::string& path) {
 }
 
 Result<Tensor> read_npy(const std::string& path, const TensorType& type) {
-  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-  SHALE_TRY(const Header parsed, parse_header(path, bytes));
-  const auto& [header, shape, data_at] = parsed;
-  const std::string_view descr = field(header, "descr");
-  const std::string wanted = fmt::format("'{}'", descr_of(type.dtype));
-  if (!descr.starts_with(wanted))
-    return bad_input(path, "found element type {}, expected {} for {}",
-                     descr.substr(0, descr.find(',')), wanted, dtype_info(type.dtype).wire);
-  if (!field(header, "fortran_order").starts_with("False"))
-    return bad_input(path, "is in Fortran order, expected C order");
-  if (shape != type.shape)
-    return bad_input(path, "found shape {}, expected {}", shape_text(shape),
-                     shape_text(type.shape));
-  const std::optional<int64_t> count = element_count(shape);
-  if (!count) return bad_input(path, "shape {} is not supported", shape_text(shape));
+  const DTypeInfo& info = dtype_info(type.dtype);
   Tensor tensor{type, {}};
-  const size_t size = static_cast<size_t>(*count * tensor.host_bytes());
-  if (bytes.size() - data_at < size)
-    return bad_input(path, "found {} bytes of data, expected {}", bytes.size() - data_at, size);
-  const auto data = bytes.begin() + static_cast<std::ptrdiff_t>(data_at);
-  tensor.bytes.assign(data, data + static_cast<std::ptrdiff_t>(size));
+  SHALE_TRY(tensor.bytes,
+            read_array(path, descr_of(type.dtype), type.shape, info.host_bytes, info.wire));
   return tensor;
+}
+
+Result<std::vector<double>> read_npy_doubles(const std::string& path, const Shape& shape) {
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_array(path, "<f8", shape, 8, "float64"));
+  std::vector<double> values(bytes.size() / 8);
+  std::memcpy(values.data(), bytes.data(), bytes.size());
+  return values;
 }
 
 namespace {
@@ -128,6 +149,12 @@ Result<void> write_array(const std::string& path, std::string_view descr, const 
 
 Result<void> write_npy(const std::string& path, const Tensor& tensor) {
   return write_array(path, descr_of(tensor.type.dtype), tensor.type.shape, tensor.bytes);
+}
+
+Result<void> write_npy(const std::string& path, const Shape& shape,
+                       std::span<const double> values) {
+  return write_array(path, "<f8", shape,
+                     {reinterpret_cast<const uint8_t*>(values.data()), values.size_bytes()});
 }
 
 Result<void> write_npy(const std::string& path, const FloatImage& image) {

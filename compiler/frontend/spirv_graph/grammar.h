@@ -164,6 +164,8 @@ enum class Capability : uint32_t {
   kInt8 = 39,
   kTensors = 4174,
   kGraph = 4191,
+  kFloat8 = 4212,
+  kBFloat16 = 5116,
   kVulkanMemoryModel = 5345,
 };
 
@@ -173,6 +175,8 @@ struct ScalarInfo {
   Opcode opcode;
   uint32_t width;  ///< bits; 0 for bool
   Capability capability;
+  std::optional<uint32_t> encoding = {};  ///< of floats that are not IEEE 754's
+  std::string_view extension = {};
 };
 inline constexpr auto kScalars = std::to_array<ScalarInfo>({
     {DType::kBool, Opcode::kTypeBool, 0, Capability::kShader},
@@ -182,24 +186,9 @@ inline constexpr auto kScalars = std::to_array<ScalarInfo>({
     {DType::kInt48, Opcode::kTypeInt, 64, Capability::kInt64},
     {DType::kFp16, Opcode::kTypeFloat, 16, Capability::kFloat16},
     {DType::kFp32, Opcode::kTypeFloat, 32, Capability::kShader},
-});
-
-/// Operators of the set that have no row in ops.def yet, for messages.
-inline constexpr auto kOtherInstructions = std::to_array<NumberName>({
-    {5, "fft2d"},
-    {8, "rfft2d"},
-    {11, "erf"},
-    {13, "tanh"},
-    {28, "pow"},
-    {33, "ceil"},
-    {35, "cos"},
-    {36, "exp"},
-    {37, "floor"},
-    {38, "log"},
-    {41, "reciprocal"},
-    {42, "rsqrt"},
-    {43, "sin"},
-    {52, "reduce_product"},
+    {DType::kBf16, Opcode::kTypeFloat, 16, Capability::kBFloat16, 0, "SPV_KHR_bfloat16"},
+    {DType::kFp8E4M3, Opcode::kTypeFloat, 8, Capability::kFloat8, 4214, "SPV_EXT_float8"},
+    {DType::kFp8E5M2, Opcode::kTypeFloat, 8, Capability::kFloat8, 4215, "SPV_EXT_float8"},
 });
 
 /// The set numbers its instructions as the file format does its operators, from 0 instead of 1, and
@@ -210,9 +199,10 @@ inline std::optional<Op> op_of_instruction(uint32_t number) {
 }
 inline uint32_t instruction_of(Op op) { return op_info(op).wire - 1; }
 
-/// Attributes in the order of the set: that of ops.def, but acc_type comes before local_bound.
+/// Attributes in the order of the set: that of ops.def, but acc_type comes before local_bound, and without the part.
 inline std::vector<Attr> instruction_attrs(Op op) {
   std::vector<Attr> attrs = op_info(op).attrs;
+  std::erase(attrs, Attr::kPart);
   const auto bound = std::ranges::find(attrs, Attr::kLocalBound);
   const auto acc = std::ranges::find(attrs, Attr::kAccType);
   if (bound != attrs.end() && acc != attrs.end()) std::iter_swap(bound, acc);

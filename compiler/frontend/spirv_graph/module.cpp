@@ -384,9 +384,11 @@ Result<void> Module::read_type(const Instruction& instruction) {
       break;
     case Opcode::kTypeInt:
     case Opcode::kTypeFloat: {
-      if (opcode == Opcode::kTypeFloat && instruction.size() == 4) break;  // bfloat16, float8
+      std::optional<uint32_t> encoding;
+      if (opcode == Opcode::kTypeFloat && instruction.size() == 4) encoding = instruction[3];
       for (const ScalarInfo& scalar : kScalars)
-        if (scalar.opcode == opcode && scalar.width == instruction[2]) {
+        if (scalar.opcode == opcode && scalar.width == instruction[2] &&
+            scalar.encoding == encoding) {
           result.kind = Type::Kind::kScalar;
           result.dtype = scalar.dtype;
         }
@@ -411,7 +413,11 @@ Result<void> Module::read_type(const Instruction& instruction) {
       break;
     case Opcode::kTypeTensor: SHALE_TRY_VOID(read_tensor_type(instruction, result)); break;
     case Opcode::kTypeGraph: SHALE_TRY_VOID(read_graph_type(instruction, result)); break;
-    default: break;  // void, struct, runtime array: declared, but nothing here can use them
+    case Opcode::kTypeStruct:
+      result.kind = Type::Kind::kStruct;
+      result.entries.assign(instruction.words.begin() + 2, instruction.words.end());
+      break;
+    default: break;  // void, runtime array: declared, but nothing here can use them
   }
   types_.push_back(std::move(result));
   return define(instruction, instruction[1], Kind::kType, types_.size() - 1);
@@ -422,8 +428,8 @@ Result<void> Module::read_tensor_type(const Instruction& instruction, Type& resu
   const Type* element = type(instruction[2]);
   if (!element || element->kind != Type::Kind::kScalar)
     return unsupported(where(instruction.at),
-                       "the element type %{} is no bool, int8, int16, int32, int64, float16 or "
-                       "float32",
+                       "the element type %{} is no bool, int8, int16, int32, int64, float32, float16, "
+                       "bfloat16 or float8",
                        instruction[2]);
   result.dtype = element->dtype;
   if (instruction.size() < 4) return {};

@@ -25,7 +25,7 @@ inline constexpr int64_t kMaxArrayTensors = 1024;
 using ExternalData = std::map<uint32_t, const ExternalConstant*>;
 
 struct Type {
-  enum class Kind : uint8_t { kScalar, kTensor, kArray, kPointer, kGraph, kOther };
+  enum class Kind : uint8_t { kScalar, kTensor, kArray, kStruct, kPointer, kGraph, kOther };
   Kind kind = Kind::kOther;
   DType dtype = DType::kUnknown;  ///< scalar, tensor
   bool ranked = false;            ///< tensor
@@ -35,7 +35,7 @@ struct Type {
   int64_t length = 0;             ///< array
   uint32_t storage_class = 0;     ///< pointer
   uint32_t input_count = 0;       ///< graph: entries that are inputs
-  std::vector<uint32_t> entries;  ///< graph: type ids, inputs first
+  std::vector<uint32_t> entries;  ///< graph: type ids, inputs first; struct: of its members
   /// Graph: number of the first tensor of each entry, and of all; an array has one for each element.
   std::vector<uint32_t> first_tensor;
   uint32_t input_tensors() const { return first_tensor[input_count]; }
@@ -67,7 +67,7 @@ struct GraphDefinition {
   uint32_t type = 0;
   size_t at = 0;  ///< word of OpGraphARM
   std::vector<GraphInput> inputs;
-  std::vector<size_t> body;          ///< words of OpExtInst
+  std::vector<size_t> body;          ///< words of OpExtInst and OpCompositeExtract
   std::vector<GraphOutput> outputs;  ///< every output, in order
 };
 
@@ -162,6 +162,7 @@ class Module {
                                    size_t first_operand) const;
   Result<void> read_graph_input(const Instruction& instruction);
   Result<void> read_graph_output(const Instruction& instruction);
+  Result<void> read_extract(const Instruction& instruction);
   Result<void> end_graph(const Instruction& instruction);
   Result<void> check_entry_point(const EntryPoint& entry) const;
   Result<Shape> shape_value(const Instruction& instruction, uint32_t id, size_t rank) const;

@@ -48,9 +48,7 @@ Result<void> Module::read_in_graph(const Instruction& instruction) {
       values_.push_back({instruction[1], graphs_.size() - 1});
       return define(instruction, instruction[2], Kind::kValue, values_.size() - 1);
     }
-    case Opcode::kCompositeExtract:
-      return unsupported(where(instruction.at),
-                         "splits a struct, which no operator of the integer profile gives");
+    case Opcode::kCompositeExtract: return read_extract(instruction);
     default: return bad(instruction, "stands inside a graph");
   }
 }
@@ -126,6 +124,27 @@ Result<void> Module::read_graph_output(const Instruction& instruction) {
     return bad(instruction, "output {} is set a second time", number);
   graph.outputs.push_back({id, number});
   return {};
+}
+
+Result<void> Module::read_extract(const Instruction& instruction) {
+  GraphDefinition& graph = graphs_.back();
+  if (!graph.outputs.empty())
+    return bad(instruction, "stands behind an OpGraphSetOutputARM, outputs come last");
+  const auto found = definitions_.find(instruction[3]);
+  const Type* whole = nullptr;
+  if (found != definitions_.end() && found->second.kind == Kind::kValue &&
+      values_[found->second.index].graph == graphs_.size() - 1)
+    whole = type(values_[found->second.index].type);
+  if (!whole || whole->kind != Type::Kind::kStruct)
+    return bad(instruction, "%{} is no struct of this graph", instruction[3]);
+  if (instruction.size() != 5 || instruction[4] >= whole->entries.size())
+    return bad(instruction, "expected the index of one of {} members", whole->entries.size());
+  if (instruction[1] != whole->entries[instruction[4]])
+    return bad(instruction, "its type is %{}, member {} is %{}", instruction[1], instruction[4],
+               whole->entries[instruction[4]]);
+  graph.body.push_back(instruction.at);
+  values_.push_back({instruction[1], graphs_.size() - 1});
+  return define(instruction, instruction[2], Kind::kValue, values_.size() - 1);
 }
 
 Result<void> Module::end_graph(const Instruction& instruction) {

@@ -159,23 +159,22 @@ class Reader {
   Result<void> read_operator(size_t at) {
     const uint32_t* words = module_.words.data() + at;
     const size_t size = words[0] >> 16;
+    if (static_cast<Opcode>(words[0] & 0xffff) == Opcode::kCompositeExtract) return read_part(at);
     const std::string set = *module_.import(words[3]);
     if (set != kTosaSet)
       return unsupported(module_.where(at), "instruction {} of the set \"{}\", expected \"{}\"",
                          words[4], set, kTosaSet);
     const std::optional<Op> op = op_of_instruction(words[4]);
-    if (!op) {
-      for (const NumberName& other : kOtherInstructions)
-        if (other.number == words[4])
-          return unsupported(fmt::format("{}, {}", module_.where(at), other.name),
-                             "the operator is outside the integer profile");
+    if (!op)
       return bad_input(module_.where(at), "operator number {} is not in {}", words[4], kTosaSet);
-    }
     const OpInfo& info = op_info(*op);
     const std::string where = fmt::format("{}, {}", module_.where(at), info.name);
+    const size_t results = result_count(*op);
     const Type& type = *module_.type(words[1]);
-    if (type.kind != Type::Kind::kTensor)
+    if (results == 1 && type.kind != Type::Kind::kTensor)
       return bad_input(where, "its type %{} is no tensor type", words[1]);
+    if (results > 1 && (type.kind != Type::Kind::kStruct || type.entries.size() != results))
+      return bad_input(where, "its type %{} is no struct of {} members", words[1], results);
     const std::vector<Attr> attrs = instruction_attrs(*op);
     const size_t count = size - 5;
     const size_t most = attrs.size() + info.max_operands;
@@ -191,11 +190,31 @@ class Reader {
       SHALE_TRY(const ValueId id, operand(where, node, i - attrs.size(), words[5 + i]));
       node.inputs.push_back(id);
     }
+    if (results > 1)
+      split_.emplace(words[2], std::move(node));
+    else
+      add_node(std::move(node), words[2], type);
+    return {};
+  }
+
+  void add_node(Node node, uint32_t id, const Type& type) {
     TensorType result{type.dtype, type.ranked ? type.shape : Shape{kDynamic}};
-    node.output = add_value(result_name(words[2], info.name), std::move(result));
+    node.output = add_value(result_name(id, op_info(node.op).name), std::move(result));
     if (!type.ranked) unranked_.insert(node.output.index);
-    values_.emplace(words[2], node.output);
+    values_.emplace(id, node.output);
     graph_.nodes.push_back(std::move(node));
+  }
+
+  /// One result of an operator of two.
+  Result<void> read_part(size_t at) {
+    const uint32_t* words = module_.words.data() + at;
+    const auto whole = split_.find(words[3]);
+    const Type* type = module_.type(words[1]);
+    if (whole == split_.end() || !type || type->kind != Type::Kind::kTensor)
+      return bad_input(module_.where(at), "expected a tensor out of an operator's struct");
+    Node node = whole->second;
+    node.attrs.set(Attr::kPart, words[4]);
+    add_node(std::move(node), words[2], *type);
     return {};
   }
 
@@ -370,6 +389,7 @@ class Reader {
   std::unordered_map<uint32_t, std::string> result_names_;  ///< of results that outputs name, by id
   std::map<std::pair<uint32_t, DType>, ValueId> constants_;
   std::unordered_set<uint32_t> unranked_;  ///< values whose shape [?] only says that it is open
+  std::unordered_map<uint32_t, Node> split_;  ///< operators of two results, by id
   int64_t budget_ = kMaxInlineBytes;
 };
 

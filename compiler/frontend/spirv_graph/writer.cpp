@@ -85,7 +85,8 @@ class Writer {
       const uint32_t id = new_named(graph_.inputs[i]);
       emit(body_, Opcode::kGraphInput, {type_of(graph_.inputs[i]), id, integer(i)});
     }
-    for (const Node& node : graph_.nodes) SHALE_TRY_VOID(add_node(node));
+    written_.resize(graph_.nodes.size());
+    for (uint32_t i = 0; i < graph_.nodes.size(); ++i) SHALE_TRY_VOID(add_node({i}));
     for (uint32_t i = 0; i < graph_.outputs.size(); ++i) {
       SHALE_TRY(const uint32_t id, operand(graph_.outputs[i]));
       emit(body_, Opcode::kGraphSetOutput, {id, integer(i)});
@@ -184,6 +185,8 @@ class Writer {
     capabilities_.insert(info.capability);
     if (info.opcode == Opcode::kTypeBool) return declare(info.opcode, {});
     if (info.opcode == Opcode::kTypeInt) return declare(info.opcode, {info.width, 0});
+    if (!info.extension.empty()) extensions_.insert(info.extension);
+    if (info.encoding) return declare(info.opcode, {info.width, *info.encoding});
     return declare(info.opcode, {info.width});
   }
 
@@ -296,19 +299,36 @@ class Writer {
     }
   }
 
-  Result<void> add_node(const Node& node) {
+  Result<void> add_node(NodeId id) {
+    const Node& node = graph_.node(id);
+    if (written_[id.index]) return {};
     if (node.op == Op::kIdentity) {
       SHALE_TRY(ids_[node.output.index], operand(node.inputs[0]));
       return {};
     }
-    Words words{type_of(node.output), 0, tosa_, instruction_of(node.op)};
+    const bool splits = result_count(node.op) > 1;
+    const uint32_t part_type = type_of(node.output);
+    const uint32_t type =
+        splits ? declare(Opcode::kTypeStruct, Words(result_count(node.op), part_type)) : part_type;
+    Words words{type, 0, tosa_, instruction_of(node.op)};
     for (const Attr attr : instruction_attrs(node.op)) words.push_back(attribute(node, attr));
     for (const ValueId id : node.inputs) {
       SHALE_TRY(const uint32_t word, operand(id));
       words.push_back(word);
     }
-    words[1] = new_named(node.output);
+    words[1] = splits ? next_id_++ : new_named(node.output);
     emit(body_, Opcode::kExtInst, words);
+    const auto extract = [&](const Node& part) {
+      emit(body_, Opcode::kCompositeExtract,
+           {part_type, new_named(part.output), words[1],
+            static_cast<uint32_t>(part.attrs.get(Attr::kPart))});
+    };
+    if (!splits) return {};
+    extract(node);
+    if (const std::optional<NodeId> other = graph_.other_part(id, written_)) {
+      written_[other->index] = true;
+      extract(graph_.node(*other));
+    }
     return {};
   }
 
@@ -328,9 +348,9 @@ class Writer {
     words = {kMagic, kVersion15, 0, next_id_, 0};
     for (const Capability capability : capabilities_)
       emit(words, Opcode::kCapability, {static_cast<uint32_t>(capability)});
-    for (const char* extension : {"SPV_ARM_tensors", "SPV_ARM_graph"}) {
+    for (const std::string_view extension : extensions_) {
       Words operands;
-      append_string(operands, extension);
+      append_string(operands, std::string(extension));
       emit(words, Opcode::kExtension, operands);
     }
     Words import{tosa_};
@@ -349,7 +369,9 @@ class Writer {
   Words interface_;
   std::vector<uint32_t> ids_;  ///< by value; 0 until it has one
   std::vector<bool> inline_;   ///< by value
+  std::vector<bool> written_;  ///< by node: as the other part of an earlier one
   std::map<Words, uint32_t> declared_;
+  std::set<std::string_view, std::greater<>> extensions_{"SPV_ARM_tensors", "SPV_ARM_graph"};
   std::set<Capability> capabilities_{Capability::kShader, Capability::kTensors, Capability::kGraph,
                                      Capability::kVulkanMemoryModel};
 };
