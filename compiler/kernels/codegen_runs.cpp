@@ -102,10 +102,9 @@ std::string Codegen::packed_word(DType dtype, std::span<const std::string> v) {
                                 narrow_call("to_", dtype, v[1])));
     case DType::kFp8E4M3:
     case DType::kFp8E5M2:
-      return packed(fmt::format(
-          "{} | ({} << 8) | ({} << 16) | ({} << 24)", narrow_call("to_", dtype, v[0]),
-          narrow_call("to_", dtype, v[1]), narrow_call("to_", dtype, v[2]),
-          narrow_call("to_", dtype, v[3])));
+      return packed(fmt::format("{} | ({} << 8) | ({} << 16) | ({} << 24)",
+                                narrow_call("to_", dtype, v[0]), narrow_call("to_", dtype, v[1]),
+                                narrow_call("to_", dtype, v[2]), narrow_call("to_", dtype, v[3])));
     case DType::kInt16: return packed(fmt::format("uint(({} & 65535) | ({} << 16))", v[0], v[1]));
     default:
       return packed(

@@ -100,8 +100,8 @@ class Expansion {
     ValueId x = product(found->second, table(in[1], 2, in[1], {node.attrs.get(Attr::kPart)},
                                              node.attrs.flag(Attr::kInverse)));
     x = reshaped(x, {in[0], kept, in[1]});
-    add_to(node.output, Op::kTranspose,
-           Attrs().set(Attr::kPerms, std::vector<int64_t>{0, 2, 1}), {x});
+    add_to(node.output, Op::kTranspose, Attrs().set(Attr::kPerms, std::vector<int64_t>{0, 2, 1}),
+           {x});
     return {};
   }
 

@@ -60,8 +60,8 @@ constexpr uint32_t encode_float(FloatFormat format, double value) {
   const uint64_t kept = (significand + half - 1 + (significand >> dropped & 1)) >> dropped;
   // The leading one of a normal number adds 1 to the exponent, as does a carry.
   const uint64_t below = static_cast<uint64_t>(std::max(exponent - format.lowest(), 0));
-  return sign | static_cast<uint32_t>(std::min<uint64_t>((below << format.fraction_bits) + kept,
-                                                         format.top()));
+  return sign | static_cast<uint32_t>(
+                    std::min<uint64_t>((below << format.fraction_bits) + kept, format.top()));
 }
 
 /// Exact; a NaN stays one.
@@ -74,8 +74,8 @@ constexpr double decode_float(FloatFormat format, uint32_t bits) {
     const bool is_nan = !format.has_infinity || fraction != 0;
     value = std::bit_cast<double>(uint64_t{0x7ff} << 52 | (is_nan ? uint64_t{1} << 51 : 0));
   } else if (exponent == 0) {
-    value = static_cast<double>(fraction) *
-            FloatFormat::power(format.lowest() - format.fraction_bits);
+    value =
+        static_cast<double>(fraction) * FloatFormat::power(format.lowest() - format.fraction_bits);
   } else {
     value = std::bit_cast<double>(
         static_cast<uint64_t>(static_cast<int>(exponent) - format.bias() + 1023) << 52 |

@@ -279,7 +279,9 @@ class Writer {
         results[!imaginary] = other ? graph_.value(graph_.node(*other).output).name
                                     : graph_.unique_name(results[imaginary] + ".other");
         // The file's operator has a result that the graph does not want.
-        if (!other) tensors.push_back(tensor({results[!imaginary], graph_.value(node.output).type, std::nullopt}));
+        if (!other)
+          tensors.push_back(
+              tensor({results[!imaginary], graph_.value(node.output).type, std::nullopt}));
       }
       operators.push_back(operation(node, results));
     }

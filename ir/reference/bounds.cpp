@@ -131,7 +131,9 @@ Bound compared(Op op, const Bound& a, const Bound& b) {
 Bound allowed(double low, double high, DType dtype) {
   if (std::isnan(low) || std::isnan(high))
     return std::isnan(low) && std::isnan(high) ? Bound{kNan, kNan} : Bound::anything();
-  const auto bounded = [](double x) { return std::fabs(x) > kLargest ? std::copysign(kInfinity, x) : x; };
+  const auto bounded = [](double x) {
+    return std::fabs(x) > kLargest ? std::copysign(kInfinity, x) : x;
+  };
   return ended({bounded(low), bounded(high)}, dtype);
 }
 
@@ -508,8 +510,7 @@ class NodeBounds {
       if (!is_plain(bound(term))) return Bound::anything();
       const Bound x = flushed(bound(term));
       largest *= std::max(reach(x), 1.0);
-      if (x.low > 0 || x.high < 0)
-        smallest *= std::min({std::fabs(x.low), std::fabs(x.high), 1.0});
+      if (x.low > 0 || x.high < 0) smallest *= std::min({std::fabs(x.low), std::fabs(x.high), 1.0});
       result = corners(result, x, [](double a, double b) { return Bound{a * b, a * b}; });
     }
     if (largest > kLargest || smallest < kTiny) return Bound::anything();

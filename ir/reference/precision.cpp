@@ -25,8 +25,8 @@ double relative(FloatFormat format, double value, double factor, double lower = 
 /// So many units in the last place of a value.
 double units(FloatFormat format, double value, double count) {
   if (value == 0 || !std::isfinite(value)) return 0;
-  return count * FloatFormat::power(std::max(std::ilogb(value), format.lowest()) -
-                                    format.fraction_bits);
+  return count *
+         FloatFormat::power(std::max(std::ilogb(value), format.lowest()) - format.fraction_bits);
 }
 
 /// The error of a sum of `count` products of which `bound` is the sum of the magnitudes.
@@ -125,23 +125,22 @@ class NodePrecision {
 
   std::vector<Precision> binary() const {
     std::vector<Precision> all(static_cast<size_t>(result_.count()));
-    for_each_index<2>(result_.type.shape,
-                      {broadcast_strides(node_.shape(0)), broadcast_strides(node_.shape(1))}, {},
-                      [&](int64_t element, const std::array<int64_t, 2>& at) {
-                        const double x = node_.in(0).real(at[0]), y = node_.in(1).real(at[1]);
-                        double value = 0;
-                        switch (node_.op()) {
-                          case Op::kAdd: value = x + y; break;
-                          case Op::kSub: value = x - y; break;
-                          case Op::kMul: value = x * y; break;
-                          default: value = real_pow(x, y);
-                        }
-                        all[static_cast<size_t>(element)] = {
-                            value, node_.op() == Op::kPow
-                                       ? pow_error(result_.type.dtype, x, y, value)
-                                       : units(format_, value, 0.5)};
-                        return true;
-                      });
+    for_each_index<2>(
+        result_.type.shape, {broadcast_strides(node_.shape(0)), broadcast_strides(node_.shape(1))},
+        {}, [&](int64_t element, const std::array<int64_t, 2>& at) {
+          const double x = node_.in(0).real(at[0]), y = node_.in(1).real(at[1]);
+          double value = 0;
+          switch (node_.op()) {
+            case Op::kAdd: value = x + y; break;
+            case Op::kSub: value = x - y; break;
+            case Op::kMul: value = x * y; break;
+            default: value = real_pow(x, y);
+          }
+          all[static_cast<size_t>(element)] = {
+              value, node_.op() == Op::kPow ? pow_error(result_.type.dtype, x, y, value)
+                                            : units(format_, value, 0.5)};
+          return true;
+        });
     return all;
   }
 
@@ -164,8 +163,8 @@ class NodePrecision {
         case Op::kReduceProduct:
           if (!std::isfinite(product)) return Precision{product, 0};
           return Precision{
-              product, std::fabs(product) *
-                           (std::pow(1 + std::exp2(-format_.fraction_bits - 1), n) - 1)};
+              product,
+              std::fabs(product) * (std::pow(1 + std::exp2(-format_.fraction_bits - 1), n) - 1)};
         case Op::kResize:
           return Precision{sum, std::max(relative(format_, most, 20), most * 0.006)};
         case Op::kAvgPool2d: {
@@ -183,9 +182,8 @@ class NodePrecision {
     const std::vector<double> a = doubles(node_.in(0)), b = doubles(node_.in(1));
     const std::vector<double> bias = matmul ? std::vector<double>{} : doubles(node_.in(2));
     const std::vector<double> value = real_sums(node_, a, b, bias);
-    const std::vector<double> bound =
-        real_sums(node_, magnitudes(a, matmul || is_local()), magnitudes(b, true),
-                  magnitudes(bias, true));
+    const std::vector<double> bound = real_sums(node_, magnitudes(a, matmul || is_local()),
+                                                magnitudes(b, true), magnitudes(bias, true));
     const Shape& weight = node_.shape(1);
     double count = 1;
     if (matmul)
@@ -197,8 +195,7 @@ class NodePrecision {
     const bool has_bias = !(largest(bias) == 0);
     return each([&](int64_t i) {
       const size_t at = static_cast<size_t>(i);
-      return Precision{value[at],
-                       sum_error(format_, accumulator(), count, has_bias, bound[at])};
+      return Precision{value[at], sum_error(format_, accumulator(), count, has_bias, bound[at])};
     });
   }
 
@@ -217,8 +214,8 @@ class NodePrecision {
       double bound = 0;
       for (int64_t iy = 0; iy < shape[1]; ++iy)
         for (int64_t ix = 0; ix < shape[2]; ++ix) {
-          const std::complex<double> root = root_of_unity(
-              iy * oy * shape[2] + ix * ox * shape[1], shape[1] * shape[2]);
+          const std::complex<double> root =
+              root_of_unity(iy * oy * shape[2] + ix * ox * shape[1], shape[1] * shape[2]);
           const double cosine = std::fabs(root.real()), sine = std::fabs(root.imag());
           const size_t at = static_cast<size_t>((n * shape[1] + iy) * shape[2] + ix);
           const auto reach = [&](const std::vector<double>& values) {
@@ -291,8 +288,7 @@ std::optional<std::string> first_imprecise(const Tensor& found,
   for (size_t i = 0; i < expected.size(); ++i) {
     const int64_t at = static_cast<int64_t>(i);
     const DType dtype = found.type.dtype;
-    const double value =
-        is_float(dtype) ? found.real(at) : static_cast<double>(found.get(at));
+    const double value = is_float(dtype) ? found.real(at) : static_cast<double>(found.get(at));
     if (!is_precise(dtype, value, expected[i]))
       return fmt::format("element {} at {}: found {:.9g}, expected {:.9g} within {:.3g}", i,
                          coordinates_text(found.type.shape, at), value, expected[i].value,

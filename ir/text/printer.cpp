@@ -44,9 +44,9 @@ std::string element(DType dtype, int64_t value) {
   if (!is_float(dtype)) return std::to_string(value);
   const float real = bits_real(dtype, value);
   if (std::isnan(real))
-    return fmt::format(
-        "0x{:0{}x}", static_cast<uint64_t>(value) & ((uint64_t{1} << dtype_info(dtype).bits) - 1),
-        2 * dtype_info(dtype).host_bytes);
+    return fmt::format("0x{:0{}x}",
+                       static_cast<uint64_t>(value) & ((uint64_t{1} << dtype_info(dtype).bits) - 1),
+                       2 * dtype_info(dtype).host_bytes);
   char text[32];
   return {text, std::to_chars(text, text + sizeof(text), real).ptr};
 }

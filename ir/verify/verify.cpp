@@ -199,9 +199,7 @@ class ValueChecker {
 
 }  // namespace
 
-bool accepts(Op op, DType dtype) {
-  return contains(kRules[static_cast<size_t>(op)].types, dtype);
-}
+bool accepts(Op op, DType dtype) { return contains(kRules[static_cast<size_t>(op)].types, dtype); }
 
 Result<TensorType> infer_result(const Graph& graph, NodeId id) {
   const OpRule& rule = kRules[static_cast<size_t>(graph.node(id).op)];

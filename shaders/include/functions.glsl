@@ -91,7 +91,7 @@ float reduced(float x, out uint quarter) {
 // The sine of `quarter` quarter turns and r.
 float turned(float r, uint quarter) {
   precise float z = r * r;
-  precise float sine = r + r * z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362880.0))));
+  precise float sine = r * (1.0 - z * (1.0 / 6.0 - z * (1.0 / 120.0 - z * (1.0 / 5040.0 - z * (1.0 / 362880.0)))));
   precise float cosine = 1.0 - z * (0.5 - z * (1.0 / 24.0 - z * (1.0 / 720.0 - z * (1.0 / 40320.0 - z * (1.0 / 3628800.0)))));
   float value = (quarter & 1u) != 0u ? cosine : sine;
   return (quarter & 2u) != 0u ? -value : value;

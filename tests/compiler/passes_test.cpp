@@ -64,7 +64,8 @@ TEST(ExpandFft, WritesTransformsAsProductsWithinTheBounds) {
       "graph g { input %x : f32[2,4,8] input %y : f32[2,4,8] "
       "%re = fft2d %x, %y {part=real} : f32[2,4,8] %im = fft2d %x, %y {part=imag} : f32[2,4,8] "
       "%back = fft2d %y, %x {inverse=true, local_bound=true, part=real} : f32[2,4,8] "
-      "%half = rfft2d %x {local_bound=true, part=imag} : f32[2,4,5] return %re, %im, %back, %half }");
+      "%half = rfft2d %x {local_bound=true, part=imag} : f32[2,4,5] return %re, %im, %back, %half "
+      "}");
   Graph after = before;
   EXPECT_EQ(must(shale::run_pass(*find_pass("expand-fft"), after, {})), Change::kChanged);
   must(verify(after));
@@ -866,9 +867,10 @@ TEST(Pipeline, RunsItsPassesInOrderAndReportsEach) {
       {.optimize = true, .verify_each = true, .after = [&](std::string_view pass, const Graph&) {
          seen.emplace_back(pass);
        }}));
-  const std::vector<std::string> order{
-      "infer-shapes",   "expand-fft",     "fold-constants", "remove-identity", "merge-equal",      "fold-zero-point",
-      "fold-constants", "remove-dead",    "copy-views",      "fuse-elementwise", "fuse-views"};
+  const std::vector<std::string> order{"infer-shapes",     "expand-fft",  "fold-constants",
+                                       "remove-identity",  "merge-equal", "fold-zero-point",
+                                       "fold-constants",   "remove-dead", "copy-views",
+                                       "fuse-elementwise", "fuse-views"};
   EXPECT_EQ(seen, order);
   ASSERT_EQ(timings.size(), order.size());
   for (size_t i = 0; i < order.size(); ++i) EXPECT_EQ(timings[i].pass, order[i]);

@@ -30,7 +30,8 @@ Result<void> write_case(const FloatCase& each, const std::filesystem::path& fold
       values.push_back(element.value);
       errors.push_back(element.error);
     }
-    const std::string file = "expected-" + output.name + ".npy", bound = "error-" + output.name + ".npy";
+    const std::string file = "expected-" + output.name + ".npy",
+                      bound = "error-" + output.name + ".npy";
     SHALE_TRY_VOID(write_npy(at(file), output.type.shape, values));
     SHALE_TRY_VOID(write_npy(at(bound), output.type.shape, errors));
     outputs.push_back({{"name", output.name}, {"file", file}, {"error", bound}});

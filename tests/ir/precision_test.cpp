@@ -46,8 +46,8 @@ TEST(FloatFormat, EndsWhereTheSpecificationsSay) {
   const FloatFormat e4m3 = float_format(DType::kFp8E4M3), e5m2 = float_format(DType::kFp8E5M2);
   EXPECT_EQ(e4m3.largest(), 448);
   EXPECT_EQ(e5m2.largest(), 57344);
-  EXPECT_EQ(encode_float(e4m3, 464), 0x7eu);   // a tie, to even
-  EXPECT_EQ(encode_float(e4m3, 465), 0x7fu);   // no infinity: a NaN
+  EXPECT_EQ(encode_float(e4m3, 464), 0x7eu);  // a tie, to even
+  EXPECT_EQ(encode_float(e4m3, 465), 0x7fu);  // no infinity: a NaN
   EXPECT_EQ(encode_float(e4m3, -kInf), 0xffu);
   EXPECT_EQ(encode_float(e5m2, 61440), 0x7cu);  // infinity
   EXPECT_EQ(encode_float(e5m2, 61439), 0x7bu);
@@ -89,8 +89,10 @@ TEST(Precision, HoldsForTheInterpreterOnEveryOperator) {
 
 /// The result of a function at x, in FP32.
 float at(const std::string& op, float x) {
-  const Graph graph = *parse_text("graph g { input %x : f32[1] %y = " + op + " %x : f32[1] return %y }");
-  return (*interpret(graph, std::vector<Tensor>{Tensor::from_reals({DType::kFp32, {1}}, std::vector{x})}))[0]
+  const Graph graph =
+      *parse_text("graph g { input %x : f32[1] %y = " + op + " %x : f32[1] return %y }");
+  return (*interpret(
+      graph, std::vector<Tensor>{Tensor::from_reals({DType::kFp32, {1}}, std::vector{x})}))[0]
       .real(0);
 }
 
@@ -99,12 +101,18 @@ TEST(Precision, SpecialValuesAreThoseOfTheTables) {
     const char* op;
     float minus_infinity, infinity, minus_zero, zero;
   };
-  for (const Row& row : {Row{"abs", kInf, kInf, 0, 0}, {"ceil", -kInf, kInf, -0.0f, 0},
-                         {"cos", kNan, kNan, 1, 1}, {"erf", -1, 1, -0.0f, 0},
-                         {"exp", 0, kInf, 1, 1}, {"floor", -kInf, kInf, -0.0f, 0},
-                         {"log", kNan, kInf, -kInf, -kInf}, {"reciprocal", -0.0f, 0, -kInf, kInf},
-                         {"rsqrt", kNan, 0, -kInf, kInf}, {"sigmoid", 0, 1, 0.5f, 0.5f},
-                         {"sin", kNan, kNan, -0.0f, 0}, {"tanh", -1, 1, -0.0f, 0}}) {
+  for (const Row& row : {Row{"abs", kInf, kInf, 0, 0},
+                         {"ceil", -kInf, kInf, -0.0f, 0},
+                         {"cos", kNan, kNan, 1, 1},
+                         {"erf", -1, 1, -0.0f, 0},
+                         {"exp", 0, kInf, 1, 1},
+                         {"floor", -kInf, kInf, -0.0f, 0},
+                         {"log", kNan, kInf, -kInf, -kInf},
+                         {"reciprocal", -0.0f, 0, -kInf, kInf},
+                         {"rsqrt", kNan, 0, -kInf, kInf},
+                         {"sigmoid", 0, 1, 0.5f, 0.5f},
+                         {"sin", kNan, kNan, -0.0f, 0},
+                         {"tanh", -1, 1, -0.0f, 0}}) {
     const auto same = [&](float x, float expected) {
       const float found = at(row.op, x);
       EXPECT_TRUE(std::isnan(expected)
@@ -126,7 +134,7 @@ TEST(Precision, TellsAUnitTooMuch) {
   const float near = 1.0f / 3, up = std::nextafterf(near, 1);
   EXPECT_TRUE(is_precise(DType::kFp32, near, third));
   EXPECT_TRUE(is_precise(DType::kFp32, up, third) !=
-              is_precise(DType::kFp32, std::nextafterf(near, 0), third) ||
+                  is_precise(DType::kFp32, std::nextafterf(near, 0), third) ||
               is_precise(DType::kFp32, up, third));
   EXPECT_FALSE(is_precise(DType::kFp32, std::nextafterf(up, 1), third));
   EXPECT_EQ(function_error(Op::kLog, DType::kFp16, 8, 2), 5 * 0x1p-9);

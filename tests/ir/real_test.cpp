@@ -156,8 +156,7 @@ TEST(RealVerify, RefusesWhatTheFloatingPointProfileHasNot) {
   };
   says("input %x : f32[2] input %y : f16[2] %z = add %x, %y : f32[2] return %z",
        "has the wrong element type, expected f32");
-  says("input %x : f8e4m3[2] %z = abs %x : f8e4m3[2] return %z",
-       "expected i32, f32, f16 or bf16");
+  says("input %x : f8e4m3[2] %z = abs %x : f8e4m3[2] return %z", "expected i32, f32, f16 or bf16");
   says("input %x : f16[2] %z = cast %x : bf16[2] return %z", "expected i8, i16, i32, f32, f8e4m3");
   says("input %x : f32[1,3,4] %z = rfft2d %x {part=real} : f32[1,3,3] return %z",
        "has 3 on axis 1, expected a power of two");

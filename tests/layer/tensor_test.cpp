@@ -117,8 +117,9 @@ TEST_F(TensorLayerTest, QueueFamiliesTellTheirOperations) {
   EXPECT_STREQ(tosa.pProfiles[0].name, "PRO-INT");
   std::set<std::string> extensions;
   for (uint32_t i = 0; i < tosa.extensionCount; ++i) extensions.insert(tosa.pExtensions[i].name);
-  EXPECT_EQ(extensions, (std::set<std::string>{"EXT-BF16", "EXT-DOUBLEROUND", "EXT-FFT", "EXT-FP8E4M3",
-                                               "EXT-FP8E5M2", "EXT-INT16", "EXT-INT4"}));
+  EXPECT_EQ(extensions,
+            (std::set<std::string>{"EXT-BF16", "EXT-DOUBLEROUND", "EXT-FFT", "EXT-FP8E4M3",
+                                   "EXT-FP8E5M2", "EXT-INT16", "EXT-INT4"}));
   EXPECT_EQ(tosa.level, VK_DATA_GRAPH_TOSA_LEVEL_8K_ARM);
 
   VkPhysicalDeviceQueueFamilyDataGraphProcessingEngineInfoARM which{};

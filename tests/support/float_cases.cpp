@@ -25,12 +25,13 @@ class Values {
       else if (!is_float(type.dtype))
         tensor.set(i, static_cast<int64_t>(random_()) >> next(56));
       else
-        tensor.set_real(i, is("plain")      ? uniform(-3, 3)
-                           : is("base")     ? base()
-                           : is("exponent") ? (next(2) == 0 ? std::floor(uniform(-6, 7)) : uniform(-6, 6))
-                           : is("factor")   ? uniform(0.6, 1.6) * (next(2) == 0 ? -1 : 1)
-                           : is("few")      ? few()
-                                            : wide(float_format(type.dtype), is("number")));
+        tensor.set_real(i, is("plain")  ? uniform(-3, 3)
+                           : is("base") ? base()
+                           : is("exponent")
+                               ? (next(2) == 0 ? std::floor(uniform(-6, 7)) : uniform(-6, 6))
+                           : is("factor") ? uniform(0.6, 1.6) * (next(2) == 0 ? -1 : 1)
+                           : is("few")    ? few()
+                                          : wide(float_format(type.dtype), is("number")));
     }
     return flush_subnormals(std::move(tensor));
   }
@@ -48,10 +49,22 @@ class Values {
   }
   double base() { return next(8) == 0 ? few() : next(3) == 0 ? uniform(-4, 0) : uniform(0, 6); }
   double wide(FloatFormat format, bool only_numbers) {
-    const double special[] = {0,    -0.0, 1,  -1,
-                              0.5,  -0.5, 1.5, 2.5,
-                              0.75, format.largest(), -format.largest(), format.smallest_normal(),
-                              kInfinity, -kInfinity, std::nan(""), -std::nan("")};
+    const double special[] = {0,
+                              -0.0,
+                              1,
+                              -1,
+                              0.5,
+                              -0.5,
+                              1.5,
+                              2.5,
+                              0.75,
+                              format.largest(),
+                              -format.largest(),
+                              format.smallest_normal(),
+                              kInfinity,
+                              -kInfinity,
+                              std::nan(""),
+                              -std::nan("")};
     if (next(8) == 0) return special[next(only_numbers ? 14 : 16)];
     if (next(3) == 0) return uniform(-10, 10);
     const int span = 2 * format.bias();
@@ -68,9 +81,8 @@ std::vector<std::pair<std::string, std::string>> groups(const std::string& t) {
   const std::string sum = narrow ? "f16" : t, accumulator = narrow ? "f16" : "f32";
   std::vector<std::pair<std::string, std::string>> all;
   const auto add = [&](const std::string& name, const std::string& text) {
-    all.emplace_back(name + "_" + t,
-                     fmt::format(fmt::runtime(text), fmt::arg("t", t), fmt::arg("s", sum),
-                                 fmt::arg("acc", accumulator)));
+    all.emplace_back(name + "_" + t, fmt::format(fmt::runtime(text), fmt::arg("t", t),
+                                                 fmt::arg("s", sum), fmt::arg("acc", accumulator)));
   };
   std::string text = "input %wide : {t}[16,24] const %zero : {t}[1] = [0]\n", results;
   for (const char* op : {"abs", "ceil", "cos", "erf", "exp", "floor", "log", "reciprocal", "rsqrt",
@@ -102,8 +114,9 @@ input %flag : bool[16,1] const %shift : i8[1] = [0]
 %clamp_2 = clamp %wide {{min_val=-1.5, max_val=2, nan_mode=ignore}} : {t}[16,24]
 return %add, %sub, %mul, %pow, %pow_2, %max_1, %max_2, %min_1, %min_2, %equal, %greater, %greater_equal, %select, %clamp_1, %clamp_2
 )");
-  text = "input %wide : {t}[16,24] input %number : {t}[16,24] input %int : i32[16,24] "
-         "input %short : i16[16,24] input %byte : i8[16,24]\n";
+  text =
+      "input %wide : {t}[16,24] input %number : {t}[16,24] input %int : i32[16,24] "
+      "input %short : i16[16,24] input %byte : i8[16,24]\n";
   results.clear();
   const auto cast = [&](const char* from, const std::string& from_type, const std::string& to) {
     const std::string name = "to_" + to + "_from_" + from_type;
@@ -122,7 +135,8 @@ return %add, %sub, %mul, %pow, %pow_2, %max_1, %max_2, %min_1, %min_2, %equal, %
   }
   add("cast", text + "return " + results + "\n");
   if (!narrow)
-    add("reduce", R"(input %plain : {t}[3,16,8] input %wide : {t}[3,16,8] input %factor : {t}[3,16,8]
+    add("reduce",
+        R"(input %plain : {t}[3,16,8] input %wide : {t}[3,16,8] input %factor : {t}[3,16,8]
 %sum_1 = reduce_sum %plain {{axis=1}} : {t}[3,1,8]
 %sum_2 = reduce_sum %plain {{axis=2}} : {t}[3,16,1]
 %product_1 = reduce_product %factor {{axis=1}} : {t}[3,1,8]
@@ -140,7 +154,8 @@ return %sum_1, %sum_2, %product_1, %product_2, %max_1, %max_2, %min_1, %min_2
 %pool_2 = max_pool2d %wide {{kernel=[2,3], stride=[2,3], pad=[0,0,0,0], nan_mode=ignore}} : {t}[1,3,3,4]
 return %arg_1, %arg_2, %pool_1, %pool_2
 )");
-  add("sums", R"(input %plain : {t}[1,6,7,4] input %plain_volume : {t}[1,3,4,4,2] input %plain_w : {t}[5,3,3,4]
+  add("sums",
+      R"(input %plain : {t}[1,6,7,4] input %plain_volume : {t}[1,3,4,4,2] input %plain_w : {t}[5,3,3,4]
 input %plain_dw : {t}[3,2,4,2] input %plain_3d : {t}[3,2,2,2,2] input %plain_a : {t}[2,5,8] input %plain_b : {t}[2,8,6]
 input %plain_bias : {s}[5] const %none : {s}[1] = [0] const %zero : {t}[1] = [0]
 %conv2d = conv2d %plain, %plain_w, %plain_bias, %zero, %zero {{pad=[1,1,1,1], stride=[1,2], dilation=[1,1], acc_type={acc}}} : {s}[1,6,4,5]
@@ -149,11 +164,14 @@ input %plain_bias : {s}[5] const %none : {s}[1] = [0] const %zero : {t}[1] = [0]
 %transposed = transpose_conv2d %plain, %plain_w, %plain_bias, %zero, %zero {{out_pad=[0,0,-1,0], stride=[2,1], acc_type={acc}}} : {s}[1,13,8,5]
 %conv3d = conv3d %plain_volume, %plain_3d, %none, %zero, %zero {{pad=[0,0,1,1,0,0], stride=[1,1,1], dilation=[1,1,1], acc_type={acc}}} : {s}[1,2,5,3,3]
 %pool = avg_pool2d %plain, %zero, %zero {{kernel=[3,2], stride=[1,1], pad=[1,1,1,0], acc_type={acc}}} : {t}[1,6,7,4]
-)" + std::string(t == "bf16" ? "%matmul = matmul %plain_a, %plain_b, %zero, %zero : f32[2,5,6]\n"
-                             : "%matmul = matmul %plain_a, %plain_b, %zero, %zero : {s}[2,5,6]\n") +
-                  "return %conv2d, %conv2d_local, %depthwise, %transposed, %conv3d, %pool, %matmul\n");
+)" +
+          std::string(t == "bf16"
+                          ? "%matmul = matmul %plain_a, %plain_b, %zero, %zero : f32[2,5,6]\n"
+                          : "%matmul = matmul %plain_a, %plain_b, %zero, %zero : {s}[2,5,6]\n") +
+          "return %conv2d, %conv2d_local, %depthwise, %transposed, %conv3d, %pool, %matmul\n");
   if (t == "f16")
-    add("sums_16", R"(input %plain : f16[1,6,7,4] input %plain_w : f16[5,3,3,4] input %plain_bias : f16[5]
+    add("sums_16",
+        R"(input %plain : f16[1,6,7,4] input %plain_w : f16[5,3,3,4] input %plain_bias : f16[5]
 input %plain_a : f16[2,5,8] input %plain_b : f16[2,8,6] const %zero : f16[1] = [0]
 %conv2d = conv2d %plain, %plain_w, %plain_bias, %zero, %zero {{pad=[1,1,1,1], stride=[1,1], dilation=[1,1], acc_type=f16}} : f16[1,6,7,5]
 %pool = avg_pool2d %plain, %zero, %zero {{kernel=[2,2], stride=[1,1], pad=[1,0,1,0], acc_type=f16}} : f16[1,6,7,4]
@@ -161,7 +179,8 @@ input %plain_a : f16[2,5,8] input %plain_b : f16[2,8,6] const %zero : f16[1] = [
 return %conv2d, %pool, %matmul
 )");
   if (!narrow)
-    add("resize", R"(input %plain : {t}[1,5,6,3] const %up : shape[4] = [4,2,4,2] const %offset : shape[2] = [-1,-1]
+    add("resize",
+        R"(input %plain : {t}[1,5,6,3] const %up : shape[4] = [4,2,4,2] const %offset : shape[2] = [-1,-1]
 const %border : shape[2] = [1,1] const %odd : shape[4] = [7,3,5,4] const %none : shape[2] = [0,0] const %rest : shape[2] = [2,3]
 %nearest = resize %plain, %up, %offset, %border {{mode=nearest}} : {t}[1,10,12,3]
 %bilinear = resize %plain, %up, %offset, %border {{mode=bilinear}} : {t}[1,10,12,3]
@@ -184,7 +203,8 @@ const %start : shape[3] = [1,2,0] const %size : shape[3] = [1,4,4] const %multip
 return %concat, %pad, %reshape, %reverse, %slice, %tile, %transpose, %gather, %scatter, %identity
 )");
   if (is_f32)
-    add("fourier", R"(input %plain : f32[2,8,16] input %plain_i : f32[2,8,16] input %plain_flat : f32[1,1,4]
+    add("fourier",
+        R"(input %plain : f32[2,8,16] input %plain_i : f32[2,8,16] input %plain_flat : f32[1,1,4]
 %real = fft2d %plain, %plain_i {{part=real}} : f32[2,8,16]
 %imag = fft2d %plain, %plain_i {{part=imag}} : f32[2,8,16]
 %inverse_real = fft2d %plain, %plain_i {{inverse=true, local_bound=true, part=real}} : f32[2,8,16]

@@ -38,7 +38,8 @@ struct TosaExtension {
   std::optional<std::pair<Op, DType>> witness = {};
 };
 constexpr TosaExtension kTosaExtensions[] = {
-    {{"EXT-INT16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}, std::pair{Op::kConv2d, DType::kInt16}},
+    {{"EXT-INT16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
+     std::pair{Op::kConv2d, DType::kInt16}},
     {{"EXT-INT4", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}},
     {{"EXT-DOUBLEROUND", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}},
     {{"EXT-BF16", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}, std::pair{Op::kConv2d, DType::kBf16}},
@@ -47,7 +48,8 @@ constexpr TosaExtension kTosaExtensions[] = {
     {{"EXT-FP8E5M2", VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM},
      std::pair{Op::kConv2d, DType::kFp8E5M2}},
     // Up to 1024 elements on an axis, where the level asks for 8192.
-    {{"EXT-FFT", VK_DATA_GRAPH_TOSA_QUALITY_EXPERIMENTAL_ARM}, std::pair{Op::kFft2d, DType::kFp32}}};
+    {{"EXT-FFT", VK_DATA_GRAPH_TOSA_QUALITY_EXPERIMENTAL_ARM},
+     std::pair{Op::kFft2d, DType::kFp32}}};
 
 /// Those whose operators and types the verifier's table has.
 const std::vector<VkDataGraphTOSANameQualityARM>& tosa_extensions() {

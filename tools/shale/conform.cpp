@@ -89,7 +89,8 @@ class Runner {
     std::vector<Expected> expected;
     if (must_accept) {
       for (const ValueId id : graph.inputs) {
-        SHALE_TRY(const std::string array, file_of(folder, description, "inputs", "file", graph, id));
+        SHALE_TRY(const std::string array,
+                  file_of(folder, description, "inputs", "file", graph, id));
         SHALE_TRY(inputs.emplace_back(), read_npy(array, graph.value(id).type));
       }
       for (const ValueId id : graph.outputs) {
@@ -118,8 +119,7 @@ class Runner {
     const TensorType& type = graph.value(id).type;
     SHALE_TRY(const std::string file, file_of(folder, description, "outputs", "file", graph, id));
     Expected expected;
-    const Result<std::string> errors =
-        file_of(folder, description, "outputs", "error", graph, id);
+    const Result<std::string> errors = file_of(folder, description, "outputs", "error", graph, id);
     if (!errors) {
       SHALE_TRY(expected.exact, read_npy(file, type));
       return expected;

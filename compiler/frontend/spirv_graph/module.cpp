@@ -427,10 +427,11 @@ Result<void> Module::read_tensor_type(const Instruction& instruction, Type& resu
   result.kind = Type::Kind::kTensor;
   const Type* element = type(instruction[2]);
   if (!element || element->kind != Type::Kind::kScalar)
-    return unsupported(where(instruction.at),
-                       "the element type %{} is no bool, int8, int16, int32, int64, float32, float16, "
-                       "bfloat16 or float8",
-                       instruction[2]);
+    return unsupported(
+        where(instruction.at),
+        "the element type %{} is no bool, int8, int16, int32, int64, float32, float16, "
+        "bfloat16 or float8",
+        instruction[2]);
   result.dtype = element->dtype;
   if (instruction.size() < 4) return {};
   SHALE_TRY(const int64_t rank, integer(instruction, "rank", instruction[3]));

@@ -388,7 +388,7 @@ class Reader {
   std::unordered_map<uint32_t, ValueId> values_;            ///< inputs and results, by id
   std::unordered_map<uint32_t, std::string> result_names_;  ///< of results that outputs name, by id
   std::map<std::pair<uint32_t, DType>, ValueId> constants_;
-  std::unordered_set<uint32_t> unranked_;  ///< values whose shape [?] only says that it is open
+  std::unordered_set<uint32_t> unranked_;     ///< values whose shape [?] only says that it is open
   std::unordered_map<uint32_t, Node> split_;  ///< operators of two results, by id
   int64_t budget_ = kMaxInlineBytes;
 };

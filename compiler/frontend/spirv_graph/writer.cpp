@@ -299,9 +299,9 @@ class Writer {
     }
   }
 
-  Result<void> add_node(NodeId id) {
-    const Node& node = graph_.node(id);
-    if (written_[id.index]) return {};
+  Result<void> add_node(NodeId node_id) {
+    const Node& node = graph_.node(node_id);
+    if (written_[node_id.index]) return {};
     if (node.op == Op::kIdentity) {
       SHALE_TRY(ids_[node.output.index], operand(node.inputs[0]));
       return {};
@@ -325,7 +325,7 @@ class Writer {
     };
     if (!splits) return {};
     extract(node);
-    if (const std::optional<NodeId> other = graph_.other_part(id, written_)) {
+    if (const std::optional<NodeId> other = graph_.other_part(node_id, written_)) {
       written_[other->index] = true;
       extract(graph_.node(*other));
     }
