@@ -3,6 +3,7 @@
 #include "ir/base/file.h"
 #include "tests/compiler/graph_support.h"
 #include "tests/layer/layer_fixture.h"
+#include "tests/support/source_folder.h"
 
 namespace shale {
 namespace {
@@ -10,7 +11,7 @@ namespace {
 class NetworkLayerTest : public LayerTest {};
 
 TEST_F(NetworkLayerTest, NssIsExactFrameByFrame) {
-  const std::string folder = std::string(SHALE_SOURCE_DIR) + "/models/nss_v1_high/";
+  const std::string folder = source_folder() + "/models/nss_v1_high/";
   const std::vector<uint8_t> model = must(read_file(folder + "model.tosa"));
   CompileOptions options;
   for (const Graph known = must(import_model(model)); const ValueId id : known.inputs) {
