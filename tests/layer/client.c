@@ -88,8 +88,11 @@ static VkResult open_device(Client* client, void* next) {
   VkPhysicalDeviceTensorFeaturesARM tensors = {
       .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM, .pNext = &graphs};
   /* What modules of graphs and shaders of tensors declare. */
+  VkPhysicalDeviceMaintenance5FeaturesKHR maintenance5 = {
+      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_5_FEATURES_KHR, .pNext = &tensors};
   VkPhysicalDeviceVulkanMemoryModelFeatures model = {
-      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES, .pNext = &tensors};
+      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES,
+      .pNext = &maintenance5};
   VkPhysicalDeviceShaderFloat16Int8Features types = {
       .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_FLOAT16_INT8_FEATURES, .pNext = &model};
   VkPhysicalDeviceVulkan13Features v13 = {
@@ -104,9 +107,10 @@ static VkResult open_device(Client* client, void* next) {
                                             .shaderInt64 = all.features.shaderInt64};
   const char* names[8] = {VK_ARM_TENSORS_EXTENSION_NAME, VK_ARM_DATA_GRAPH_EXTENSION_NAME};
   uint32_t name_count = 2;
-  /* VK_ARM_data_graph depends on some of them, which older devices lack. */
-  const char* wanted[] = {VK_KHR_PUSH_DESCRIPTOR_EXTENSION_NAME, "VK_KHR_maintenance5",
-                          "VK_KHR_deferred_host_operations"};
+  /* VK_ARM_data_graph depends on the last two. */
+  const char* wanted[] = {VK_KHR_PUSH_DESCRIPTOR_EXTENSION_NAME,
+                          VK_KHR_MAINTENANCE_5_EXTENSION_NAME,
+                          VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME};
   for (size_t i = 0; i < sizeof wanted / sizeof *wanted; ++i)
     if (has_extension(client->physical, wanted[i])) names[name_count++] = wanted[i];
   const VkDeviceCreateInfo info = {.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO,

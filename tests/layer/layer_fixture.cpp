@@ -187,10 +187,11 @@ void LayerTest::TearDown() {
   EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
 }
 
-HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage) {
+HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, const void* next) {
   HostBuffer& host = buffers_.emplace_back();
   VkBufferCreateInfo info{};
   info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
+  info.pNext = next;
   info.size = bytes;
   info.usage = usage;
   EXPECT_EQ(vkCreateBuffer(client.device, &info, nullptr, &host.buffer), VK_SUCCESS);

@@ -69,7 +69,7 @@ class LayerTest : public testing::Test {
   void SetUp() override;
   void TearDown() override;
   /// Freed by TearDown. Fails the test, and maps nothing, where it cannot be made.
-  HostBuffer host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage);
+  HostBuffer host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, const void* next = nullptr);
 
   Client client{};
   bool is_open = false;

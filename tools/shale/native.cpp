@@ -153,7 +153,8 @@ Result<void> NativeDevice::State::create_device(VkPhysicalDevice physical) {
     extensions.push_back(needed);
   }
   // VK_ARM_data_graph depends on them, where they are known.
-  for (const char* wanted : {"VK_KHR_maintenance5", "VK_KHR_deferred_host_operations"})
+  for (const char* wanted :
+       {VK_KHR_MAINTENANCE_5_EXTENSION_NAME, VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME})
     if (known.contains(wanted)) extensions.push_back(wanted);
   const std::optional<uint32_t> family = graph_family(functions, physical);
   if (!family) return device_error(name, "has no queue family that runs {}", kInstructionSet);
