@@ -336,7 +336,9 @@ class HeadEmitter {
 
   std::string reduce() {
     const size_t axis = static_cast<size_t>(node_.attrs.get(Attr::kAxis));
-    std::string first = zero();
+    std::string first = node_.op == Op::kReduceAll       ? "1"
+                        : node_.op == Op::kReduceProduct ? "1.0"
+                                                         : zero();
     std::function<std::string(const std::string& a, const std::string& x)> step;
     const auto infix = [](const char* symbol) {
       return [symbol](const std::string& a, const std::string& x) {
@@ -352,15 +354,9 @@ class HeadEmitter {
     };
     switch (node_.op) {
       case Op::kReduceSum: step = infix("+"); break;
-      case Op::kReduceProduct:
-        first = "1.0";
-        step = infix("*");
-        break;
+      case Op::kReduceProduct: step = infix("*"); break;
       case Op::kReduceAny: step = infix("|"); break;
-      case Op::kReduceAll:
-        first = "1";
-        step = infix("&");
-        break;
+      case Op::kReduceAll: step = infix("&"); break;
       case Op::kReduceMax: extreme("max", dtype_range(result_dtype()).min); break;
       case Op::kReduceMin: extreme("min", dtype_range(result_dtype()).max); break;
       default: SHALE_CHECK(false && "no reduction");

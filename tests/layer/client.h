@@ -109,7 +109,8 @@ typedef struct ClientGraphInfo {
   const VkSpecializationInfo* specialization;
   VkPipelineCreateFlags2 flags;
   VkPipelineCache cache;
-  void* next; /* chained to the pipeline's create info */
+  VkDescriptorSetLayoutCreateFlags set_flags; /* with those of pushed descriptors there is no set */
+  void* next;                                 /* chained to the pipeline's create info */
 } ClientGraphInfo;
 
 /* On failure nothing is left. */

@@ -1,5 +1,6 @@
 #include "tests/layer/layer_fixture.h"
 
+#include <cstdlib>
 #include <cstring>
 
 #include "compiler/frontend/vgf/formats.h"
@@ -103,9 +104,11 @@ VkResult ClientRun::create(const Client& client, const Graph& source,
   info.constants = constants.data();
   info.flags = options.flags;
   info.cache = options.cache;
+  info.set_flags = options.set_flags;
   info.next = options.next;
   const VkResult result = client_create_graph(client_, &info, &graph);
   if (result != VK_SUCCESS) return result;
+  if (!graph.set) return VK_SUCCESS;
   std::vector<VkTensorViewARM> views;
   for (const ClientTensor& tensor : tensors) views.push_back(tensor.view);
   client_write_set(client_, &graph, static_cast<uint32_t>(views.size()), views.data());
@@ -164,6 +167,8 @@ std::vector<Tensor> ClientRun::run(const std::vector<Tensor>& inputs) {
   return read();
 }
 
+bool validated() { return std::getenv("SHALE_VALIDATED") != nullptr; }
+
 void LayerTest::SetUp() {
   const VkResult result = client_open(&client, nullptr);
   if (result == VK_ERROR_INCOMPATIBLE_DRIVER) GTEST_SKIP() << "there is no Vulkan device";
@@ -182,10 +187,11 @@ void LayerTest::TearDown() {
   EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
 }
 
-HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage) {
+HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, const void* next) {
   HostBuffer& host = buffers_.emplace_back();
   VkBufferCreateInfo info{};
   info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
+  info.pNext = next;
   info.size = bytes;
   info.usage = usage;
   EXPECT_EQ(vkCreateBuffer(client.device, &info, nullptr, &host.buffer), VK_SUCCESS);
