@@ -225,7 +225,11 @@ Action add_conform(CLI::App& app) {
   add_device_options(app, arguments->device);
   arguments->compile.add_to(app, &arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
-  app.footer("Example: shale conform build/golden/tosa --backend device --no-passes");
+  app.footer(
+      "Outputs are compared bit for bit. Where an output of desc.json has the key \"error\", its "
+      "file "
+      "holds float64, and that key's file the error that each element may have.\n"
+      "Example: shale conform build/golden/tosa --backend device --no-passes");
   return [arguments] { return conform(*arguments); };
 }
 
