@@ -1110,7 +1110,7 @@ TEST(SpirvGraph, RefusesWhatBreaksARule) {
       {"OpGraphEntryPointARM", "%z = OpExtInst %t %tosa BITWISE_NOT %k\nOpGraphEntryPointARM",
        "word 143 (OpExtInst): stands outside a graph"},
       {"OpGraphSetOutputARM", "%z = OpCompositeExtract %t %sum 0\nOpGraphSetOutputARM",
-       "word 165 (OpCompositeExtract): %28 is no struct of this graph"},
+       "word 165 (OpCompositeExtract): %32 is no struct of this graph"},
       {"OpGraphEndARM",
        "OpGraphEndARM\n%g2 = OpGraphARM %gt\nOpGraphSetOutputARM %in %c0\nOpGraphEndARM",
        "word 172 (OpGraphSetOutputARM): %31 is no value of this graph and no constant"},
