@@ -229,17 +229,17 @@ void client_destroy_tensor(const Client* client, ClientTensor* tensor) {
   vkFreeMemory(client->device, tensor->memory, NULL);
 }
 
-static void create_layouts(const Client* client, uint32_t tensors,
-                           VkDescriptorSetLayoutCreateFlags flags, ClientGraph* graph) {
+static void create_layouts(const Client* client, const ClientGraphInfo* info, ClientGraph* graph) {
+  const uint32_t tensors = info->tensor_count;
   VkDescriptorSetLayoutBinding* bindings = calloc(tensors + 1, sizeof *bindings);
   for (uint32_t i = 0; i < tensors; ++i)
-    bindings[i] = (VkDescriptorSetLayoutBinding){.binding = i,
+    bindings[i] = (VkDescriptorSetLayoutBinding){.binding = info->bindings ? info->bindings[i] : i,
                                                  .descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM,
                                                  .descriptorCount = 1,
                                                  .stageFlags = VK_SHADER_STAGE_ALL};
   const VkDescriptorSetLayoutCreateInfo set = {
       .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO,
-      .flags = flags,
+      .flags = info->set_flags,
       .bindingCount = tensors,
       .pBindings = bindings};
   MUST(vkCreateDescriptorSetLayout(client->device, &set, NULL, &graph->set_layout));
@@ -248,7 +248,7 @@ static void create_layouts(const Client* client, uint32_t tensors,
                                              .setLayoutCount = 1,
                                              .pSetLayouts = &graph->set_layout};
   MUST(vkCreatePipelineLayout(client->device, &layout, NULL, &graph->layout));
-  if (flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR) return;
+  if (info->set_flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR) return;
   const VkDescriptorPoolSize size = {VK_DESCRIPTOR_TYPE_TENSOR_ARM, tensors};
   const VkDescriptorPoolCreateInfo pool = {.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO,
                                            .maxSets = 1,
@@ -271,7 +271,7 @@ static VkResult create_pipeline(const Client* client, const ClientGraphInfo* inf
         .sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_RESOURCE_INFO_ARM,
         .pNext = info->descriptions[i],
         .descriptorSet = 0,
-        .binding = i};
+        .binding = info->bindings ? info->bindings[i] : i};
   VkDataGraphPipelineConstantARM* constants = calloc(info->constant_count + 1, sizeof *constants);
   for (uint32_t i = 0; i < info->constant_count; ++i)
     constants[i] = (VkDataGraphPipelineConstantARM){
@@ -279,9 +279,13 @@ static VkResult create_pipeline(const Client* client, const ClientGraphInfo* inf
         .pNext = info->constants[i].description,
         .id = info->constants[i].id,
         .pConstantData = info->constants[i].data};
+  const VkShaderModuleCreateInfo code = {.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
+                                         .pNext = info->next,
+                                         .codeSize = 4 * info->word_count,
+                                         .pCode = info->words};
   const VkDataGraphPipelineShaderModuleCreateInfoARM module = {
       .sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SHADER_MODULE_CREATE_INFO_ARM,
-      .pNext = info->next,
+      .pNext = info->chained ? &code : info->next,
       .module = graph->module,
       .pName = info->entry_point,
       .pSpecializationInfo = info->specialization,
@@ -346,9 +350,11 @@ VkResult client_create_graph(const Client* client, const ClientGraphInfo* info,
   const VkShaderModuleCreateInfo module = {.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
                                            .codeSize = 4 * info->word_count,
                                            .pCode = info->words};
-  VkResult result = vkCreateShaderModule(client->device, &module, NULL, &graph->module);
+  VkResult result = info->chained
+                        ? VK_SUCCESS
+                        : vkCreateShaderModule(client->device, &module, NULL, &graph->module);
   if (result == VK_SUCCESS) {
-    create_layouts(client, info->tensor_count, info->set_flags, graph);
+    create_layouts(client, info, graph);
     result = create_pipeline(client, info, graph);
   }
   if (result == VK_SUCCESS)
@@ -372,6 +378,11 @@ void client_destroy_graph(const Client* client, ClientGraph* graph) {
 
 void client_write_set(const Client* client, const ClientGraph* graph, uint32_t count,
                       const VkTensorViewARM* views) {
+  client_write_bindings(client, graph, count, NULL, views);
+}
+
+void client_write_bindings(const Client* client, const ClientGraph* graph, uint32_t count,
+                           const uint32_t* bindings, const VkTensorViewARM* views) {
   for (uint32_t i = 0; i < count; ++i) {
     const VkWriteDescriptorSetTensorARM tensor = {
         .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET_TENSOR_ARM,
@@ -380,7 +391,7 @@ void client_write_set(const Client* client, const ClientGraph* graph, uint32_t c
     const VkWriteDescriptorSet write = {.sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
                                         .pNext = &tensor,
                                         .dstSet = graph->set,
-                                        .dstBinding = i,
+                                        .dstBinding = bindings ? bindings[i] : i,
                                         .descriptorCount = 1,
                                         .descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM};
     vkUpdateDescriptorSets(client->device, 1, &write, 0, NULL);

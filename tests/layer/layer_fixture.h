@@ -15,7 +15,11 @@ namespace shale {
 struct GraphOptions {
   bool external_constants = true;
   VkTensorTilingARM tiling = VK_TENSOR_TILING_LINEAR_ARM;
-  int64_t padding = 0;  ///< elements behind each row of inputs and outputs; 0 gives no strides
+  int64_t padding = 0;     ///< elements behind each row of inputs and outputs; 0 gives no strides
+  bool strides = false;    ///< says them for packed rows, too
+  bool unordered = false;  ///< bindings with gaps, against the order of the tensors
+  bool chained = false;    ///< the code comes with the pipeline
+  bool sparse = false;     ///< constants may have two zeros of each four elements
   VkPipelineCreateFlags2 flags = 0;
   VkPipelineCache cache = VK_NULL_HANDLE;
   VkDescriptorSetLayoutCreateFlags set_flags = 0;

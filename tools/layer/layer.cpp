@@ -350,7 +350,7 @@ void VKAPI_CALL DestroyDevice(VkDevice device, const VkAllocationCallbacks* allo
 
 }  // namespace shale::layer
 
-extern "C" VK_LAYER_EXPORT VKAPI_ATTR VkResult VKAPI_CALL
+extern "C" __attribute__((visibility("default"))) VKAPI_ATTR VkResult VKAPI_CALL
 vkNegotiateLoaderLayerInterfaceVersion(VkNegotiateLayerInterface* negotiation) {
   using namespace shale::layer;
   if (!negotiation || negotiation->sType != LAYER_NEGOTIATE_INTERFACE_STRUCT ||
