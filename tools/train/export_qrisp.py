@@ -95,7 +95,7 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
                    ["input", "warped"], workgroup=[32, 4],
                    bounds={"input": [*[[0, 1]] * 6, *["history"] * 3 * scale**2, *["features"] * scale**2]}),
             {"graph": files if len(files) > 1 else files[0]},
-            shader("post", "output", [*qrisp.HEADS, "warped"], ["history", "features", "output"], workgroup=[32, 4],
+            shader("post", "output", [*qrisp.HEADS, "warped", "color"], ["history", "features", "output"], workgroup=[32, 4],
                    bounds={"history": [0, 1], "features": "feature"}),
         ],
         "views": [

@@ -32,6 +32,7 @@ import nss_passes
 from nss_passes import Frame
 
 BLOCK = 8
+NO_OVERSHOOT = 0.875 ** 0.5  # displayed, of an exposed 7: above it a result stays within the frame around it and the past
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,11 @@ def post(frame: Frame, before: Pre, outputs: dict[str, torch.Tensor], state: Sta
     w, h = frame.size
     alpha, candidate, feature = (F.pixel_shuffle(outputs[name][:, :, :h, :w], scale)
                                  for name in ("alpha", "candidate", "feature"))
-    if state is None or not options.blending:
-        return State(candidate, feature)
-    return State(before.warped + alpha * (candidate - before.warped), feature)
+    if state is not None and options.blending:
+        candidate = before.warped + alpha * (candidate - before.warped)
+    taps = F.max_pool2d(displayed(frame.colour * frame.exposure), 3, 1, 1)
+    brightest = torch.maximum(_enlarged(taps, scale, h * scale, w * scale), before.warped).clamp(min=NO_OVERSHOOT)
+    return State(torch.minimum(candidate, brightest), feature)
 
 
 def output(frame: Frame, state: State) -> torch.Tensor:

@@ -1,8 +1,9 @@
 // shaders/frame/qrisp/post.comp -- pass 4 of QRISP: depth to space, and the blend with the warped history.
 //
 // Reads the tensors "alpha", "candidate" and "feature", int8 NHWC at render size (sides even) with s^2, 3 s^2 and s^2
-// channels, and warped; writes history (rgba16_float, as displayed), features (r8_unorm) and output (linear, without
-// exposure). Without a past the candidate is the result. One invocation per output pixel.
+// channels, warped and color; writes history (rgba16_float, as displayed), features (r8_unorm) and output (linear, without
+// exposure). Without a past the candidate is the result. Almost white it may not be brighter than the frame is around it or the past
+// was (color.glsl, kNoOvershoot): the last code of a candidate alone would be a light of 65504. One invocation per output pixel.
 // Source: QRISP (ICCV 2023), seed_networks.md section 2.2.
 #version 450
 #include "common.glsl"
@@ -23,6 +24,16 @@ void main() {
     result = mix(rgb_of(fetch_warped(at)), result, alpha);
   }
   result = clamp(result, 0.0, 1.0);
+  const vec3 bright = vec3(sqrt(kNoOvershoot));
+  if (any(greaterThan(result, bright))) {
+    vec3 brightest = bright;
+    if (params.reset == 0) brightest = most(brightest, rgb_of(fetch_warped(at)));
+    for (int i = 0; i < 9; ++i) {
+      const vec3 tap = rgb_of(fetch_color(inside(texel + ivec2(i % 3, i / 3) - 1, kRender)));
+      brightest = most(brightest, displayed(exposed(finite_color(tap), params.exposure)));
+    }
+    result = min(result, brightest);
+  }
   store_features(at, float(FEATURE_SCALE) *
                          float(element_feature(pixel * kPhases + phase) - FEATURE_ZERO_POINT));
   store_history(at, half4(result));

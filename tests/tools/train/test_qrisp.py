@@ -198,7 +198,7 @@ class Passes(unittest.TestCase):
         frame = frame_of(torch.rand(1, 3, 4, 4))
         state = passes.State(torch.rand(1, 3, 8, 8), torch.rand(1, 1, 8, 8))
         before = passes.pre(frame, state, 2)
-        heads = {name: torch.rand(1, count, 4, 4) for name, count in (("alpha", 4), ("candidate", 12), ("feature", 4))}
+        heads = {name: 0.9 * torch.rand(1, count, 4, 4) for name, count in (("alpha", 4), ("candidate", 12), ("feature", 4))}
         after = passes.post(frame, before, heads, state, 2)
         share, candidate = (torch.pixel_shuffle(heads[name], 2) for name in ("alpha", "candidate"))
         wanted = share * candidate + (1 - share) * before.warped
@@ -208,6 +208,16 @@ class Passes(unittest.TestCase):
             self.assertTrue(torch.equal(shown.colour, candidate))
         shown = passes.output(frame, after) * frame.exposure
         self.assertLess((passes.displayed(shown) - after.colour).abs().max(), 1e-5)
+
+    def test_almost_white_nothing_is_brighter_than_around_it(self):
+        colour = torch.full((1, 3, 4, 4), 0.5)
+        colour[..., 0, 0] = 20.0
+        frame = frame_of(colour)
+        heads = {name: torch.ones(1, count, 4, 4) for name, count in (("alpha", 4), ("candidate", 12), ("feature", 4))}
+        shown = passes.output(frame, passes.post(frame, passes.pre(frame, None, 2), heads, None, 2)) * frame.exposure
+        light = 20.0 * frame.exposure
+        self.assertLess((shown[..., :4, :4] / light - 1).abs().max(), 1e-3)  # beside the light
+        self.assertLess((shown[..., 4:, 4:] / 7 - 1).abs().max(), 1e-3)
 
 
 class Training(unittest.TestCase):
