@@ -556,7 +556,6 @@ std::optional<double> FrameLoop::share_run(uint32_t records_ago) const {
 }
 
 uint64_t FrameLoop::frame() const { return state_->frame; }
-
 size_t FrameLoop::kernels_left() const { return state_->kernels->left(); }
 Result<bool> FrameLoop::compile_one() { return state_->kernels->compile_one(); }
 Result<void> FrameLoop::finish() { return state_->kernels->finish(); }
