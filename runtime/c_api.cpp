@@ -144,10 +144,15 @@ ShaleResult shale_loop_create(const ShaleDevice* device, const ShalePackage* pac
     SHALE_TRY_VOID(given(device, "device"));
     SHALE_TRY_VOID(given(package, "package"));
     SHALE_TRY_VOID(check_struct(info, "info"));
+    if (info->compile > SHALE_COMPILE_AT_ONCE)
+      return bad_input("info", "compile is {}, expected one of ShaleCompile",
+                       static_cast<uint32_t>(info->compile));
     SHALE_TRY(shale::FrameLoop made,
-              shale::FrameLoop::create(
-                  device->context, package->package,
-                  {.frames_in_flight = info->frames_in_flight, .cache = info->pipeline_cache}));
+              shale::FrameLoop::create(device->context, package->package,
+                                       {.frames_in_flight = info->frames_in_flight,
+                                        .cache = info->pipeline_cache,
+                                        .compile = static_cast<shale::Compile>(info->compile),
+                                        .threads = info->compile_threads}));
     auto result = std::make_unique<ShaleLoop>(ShaleLoop{std::move(made), {}, {}});
     const shale::Variant& variant = result->loop.variant();
     for (const shale::Resource& resource : variant.resources)
@@ -162,6 +167,19 @@ ShaleResult shale_loop_create(const ShaleDevice* device, const ShalePackage* pac
 }
 
 void shale_loop_destroy(ShaleLoop* loop) { delete loop; }
+
+uint32_t shale_loop_kernels_left(const ShaleLoop* loop) {
+  return loop ? static_cast<uint32_t>(loop->loop.kernels_left()) : 0;
+}
+
+ShaleResult shale_loop_compile_one(ShaleLoop* loop, VkBool32* did, ShaleError* error) {
+  return guarded(error, [&]() -> Result<void> {
+    SHALE_TRY_VOID(given(loop, "loop"));
+    SHALE_TRY_VOID(given(did, "did"));
+    SHALE_TRY(*did, loop->loop.compile_one());
+    return {};
+  });
+}
 
 uint32_t shale_loop_program_count(const ShaleLoop* loop) {
   return loop ? static_cast<uint32_t>(loop->loop.variant().programs.size()) : 0;

@@ -77,18 +77,36 @@ void shale_package_destroy(ShalePackage* package);
 
 /* ---- Loop */
 
+/* When the fast kernels are compiled that have start forms in the package. A record takes for each dispatch what is
+ * there by then; results are the same, bit for bit. */
+typedef enum ShaleCompile {
+  SHALE_COMPILE_IN_BACKGROUND = 0, /* by threads that the loop owns and ends */
+  SHALE_COMPILE_BY_HOST = 1,       /* by shale_loop_compile_one, on threads of the host's */
+  SHALE_COMPILE_AT_ONCE = 2        /* before shale_loop_create returns */
+} ShaleCompile;
+
 typedef struct ShaleLoopInfo {
   uint32_t struct_size;
   /* Before a program is recorded, its record of `frames_in_flight` records before must have been
    * finished by the device. 1 to 8. */
   uint32_t frames_in_flight;
-  VkPipelineCache pipeline_cache; /* null: none. Must not be used elsewhere meanwhile. */
+  /* Null: none. Must outlive the loop, and must not be externally synchronized. */
+  VkPipelineCache pipeline_cache;
+  ShaleCompile compile;
+  uint32_t compile_threads; /* in the background; 0: half of the processors, at least 2 */
 } ShaleLoopInfo;
 
-/* Compiles the best variant that the device meets, on all cores: may take seconds. */
+/* Compiles the best variant that the device meets, on all cores: takes a second where start forms serve, half a minute
+ * where fast kernels of a CPU driver are compiled at once. */
 ShaleResult shale_loop_create(const ShaleDevice* device, const ShalePackage* package,
                               const ShaleLoopInfo* info, ShaleLoop** loop, ShaleError* error);
-/* All that was recorded with it must have been finished by the device. */
+/* Kernels that are not there yet; those that the driver refused, for which others go on to serve, too. 0 for null. */
+uint32_t shale_loop_kernels_left(const ShaleLoop* loop);
+/* Compiles one on this thread; *did is VK_FALSE if there is none left that nobody compiles. Any thread may call it, beside
+ * other calls. */
+ShaleResult shale_loop_compile_one(ShaleLoop* loop, VkBool32* did, ShaleError* error);
+/* All that was recorded with it must have been finished by the device. Waits for a kernel that is being compiled in the
+ * background, for seconds where a CPU driver has a long one. */
 void shale_loop_destroy(ShaleLoop* loop);
 
 /* Number of programs; 0 for null. */

@@ -122,6 +122,7 @@ Result<std::string> options_text(const CompileOptions& options, const std::vecto
     caps.add(caps_json(profile.caps));
     text += fmt::format(" caps:{}={:016x}", target, caps.hash());
   }
+  if (options.start_us != kStartUs) text += fmt::format(" start={:g}", options.start_us);
   if (options.expected_runs) text += fmt::format(" runs={:g}", *options.expected_runs);
   for (const auto& [name, kernel] : options.choices) text += fmt::format(" {}:{}", name, kernel);
   for (const auto& [name, shape] : options.passes.input_shapes)
@@ -273,7 +274,8 @@ Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
                            {.expected_runs = options.expected_runs.value_or(runs),
                             .allowed = options.kernels,
                             .prefer = options.prefer,
-                            .choices = options.choices}));
+                            .choices = options.choices,
+                            .start_us = options.start_us}));
   if (!options.frame) return planned;
   for (size_t i = 0; i < options.frame->programs.size(); ++i)
     for (const FramePass& pass : options.frame->programs[i].passes)

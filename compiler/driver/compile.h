@@ -35,6 +35,8 @@ struct CompileOptions {
   /// Runs over which the driver's compile time is spread; nothing is kRunsOfFrame with a frame, else
   /// kRunsOfNetwork.
   std::optional<double> expected_runs;
+  /// SelectOptions::start_us; infinity leaves start forms out.
+  double start_us = kStartUs;
   /// Networks work by tiles (Tiles in package.h), with this tolerance in codes, up to kMaxTileTolerance; nothing is the
   /// whole picture in every run.
   std::optional<uint32_t> tiles;

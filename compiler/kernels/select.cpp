@@ -31,6 +31,11 @@ Candidate candidate(const KernelFamily& family, const GroupProblem& problem,
   return candidate;
 }
 
+bool is_allowed(const KernelFamily& family, const SelectOptions& options) {
+  return options.allowed.empty() || std::find(options.allowed.begin(), options.allowed.end(),
+                                              family.name) != options.allowed.end();
+}
+
 /// The families among which a group's is chosen, in table order; one where it is asked for by name.
 Result<std::vector<Candidate>> candidates(const GroupProblem& problem, const DeviceProfile& profile,
                                           const SelectOptions& options) {
@@ -49,15 +54,28 @@ Result<std::vector<Candidate>> candidates(const GroupProblem& problem, const Dev
   if (preferred && preferred->supports(problem, profile)) return one(*preferred);
   std::vector<Candidate> found;
   for (const KernelFamily& family : kKernels) {
-    const bool is_allowed =
-        options.allowed.empty() || std::find(options.allowed.begin(), options.allowed.end(),
-                                             family.name) != options.allowed.end();
     // A family that was asked for by name serves wherever it can, faster than the generic or not.
     const bool is_last_resort = &family == &kGeneric && found.empty();
-    if ((is_allowed || is_last_resort) && family.supports(problem, profile))
+    if ((is_allowed(family, options) || is_last_resort) && family.supports(problem, profile))
       found.push_back(candidate(family, problem, profile));
   }
   return found;
+}
+
+/// The family without weights in its code whose first result is there soonest, if that is sooner than `chosen`'s.
+std::optional<Candidate> start_candidate(const GroupProblem& problem, const Candidate& chosen,
+                                         const DeviceProfile& profile,
+                                         const SelectOptions& options) {
+  if (chosen.products == 0) return std::nullopt;
+  std::optional<Candidate> soonest;
+  for (const KernelFamily& family : kKernels) {
+    if (family.literals || !is_allowed(family, options) || !family.supports(problem, profile))
+      continue;
+    const Candidate other = candidate(family, problem, profile);
+    if (!soonest || other.total_us(1) < soonest->total_us(1)) soonest = other;
+  }
+  if (soonest && soonest->total_us(1) >= chosen.total_us(1)) return std::nullopt;
+  return soonest;
 }
 
 }  // namespace
@@ -72,9 +90,12 @@ const KernelFamily* find_kernel(std::string_view name) {
 
 void Selection::add(const Selection& other) {
   families.insert(families.end(), other.families.begin(), other.families.end());
+  start_families.insert(start_families.end(), other.start_families.begin(),
+                        other.start_families.end());
   products += other.products;
   run_us += other.run_us;
   driver_us += other.driver_us;
+  start_us += other.start_us;
 }
 
 Result<Selection> select_kernels(std::span<const GroupProblem> problems,
@@ -111,11 +132,19 @@ Result<Selection> select_kernels(std::span<const GroupProblem> problems,
     products += next->products - chosen[at]->products;
     chosen[at] = next;
   }
-  Selection selection{.families = {}, .products = products};
+  Selection selection;
+  selection.products = products;
   for (const Candidate* each : chosen) {
     selection.families.push_back(each->family);
     selection.run_us += each->run_us;
     selection.driver_us += each->driver_us;
+  }
+  for (size_t i = 0; i < chosen.size(); ++i) {
+    std::optional<Candidate> start;
+    if (selection.driver_us > options.start_us)
+      start = start_candidate(problems[i], *chosen[i], profile, options);
+    selection.start_families.push_back(start ? start->family : nullptr);
+    selection.start_us += start ? start->driver_us : chosen[i]->driver_us;
   }
   return selection;
 }

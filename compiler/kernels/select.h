@@ -14,6 +14,9 @@ namespace shale {
 /// minutes to hours of frames.
 inline constexpr double kRunsOfOne = 1, kRunsOfNetwork = 1000, kRunsOfFrame = 100000;
 
+/// Networks whose kernels keep the driver busy for longer than this, in microseconds of one thread, get start forms.
+inline constexpr double kStartUs = 1e6;
+
 struct SelectOptions {
   double expected_runs = kRunsOfNetwork;  ///< of the whole network; at least 1
   /// Families to choose from; empty is all. The generic kernel serves where none of them can.
@@ -21,13 +24,17 @@ struct SelectOptions {
   std::string prefer = {};  ///< family of every group that it supports and `choices` leaves
   /// Family by the name of a group's result.
   std::map<std::string, std::string> choices = {};
+  double start_us = kStartUs;  ///< in place of kStartUs
 };
 
 struct Selection {
   std::vector<const KernelFamily*> families;  ///< of each group
-  int64_t products = 0;                       ///< with a weight in the code, of all groups
-  double run_us = 0;                          ///< predicted for one run of the network
+  /// Of each group, the family that serves until the driver has compiled its own (StartForm); null where that is soon.
+  std::vector<const KernelFamily*> start_families;
+  int64_t products = 0;  ///< with a weight in the code, of all groups
+  double run_us = 0;     ///< predicted for one run of the network
   double driver_us = 0;  ///< predicted for the driver's compilation, all of it on one thread
+  double start_us = 0;   ///< the same until the first run, by the start forms
 
   /// Joins what another network of the package gets.
   void add(const Selection& other);

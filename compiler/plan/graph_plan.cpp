@@ -305,10 +305,14 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
   };
   std::vector<Result<std::vector<KernelSource>>> groups(graph.problems.size(),
                                                         std::vector<KernelSource>{});
+  std::vector<Result<std::vector<KernelSource>>> starts = groups;
   parallel_for(groups.size(), [&](size_t i) {
     GroupProblem problem = graph.problems[i];
     if (is_always_made(problem)) problem.cell_rows = 0;
     groups[i] = graph.selection.families[i]->emit(problem, profile);
+    if (const KernelFamily* start = graph.selection.start_families[i];
+        start && !graph.tile_tolerance)
+      starts[i] = start->emit(problem, profile);
   });
   Segment segment;
   segment.name = graph.name;
@@ -337,6 +341,25 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
   size_t commands = 0;
   std::map<std::string, uint32_t> known;  // equal sources are compiled once
   for (uint32_t i = 0; i < plan.sources.size(); ++i) known.emplace(plan.sources[i].glsl, i);
+  const auto add_kernel = [&](Dispatch& dispatch, KernelSource& source, Defines defines) {
+    const std::string key = defines.empty() ? source.glsl : defines[0].second + source.glsl;
+    const auto [entry, is_new] = known.try_emplace(key, static_cast<uint32_t>(plan.sources.size()));
+    if (is_new)
+      plan.sources.push_back({.glsl = std::move(source.glsl),
+                              .optimize = source.optimize,
+                              .defines = std::move(defines),
+                              .where = dispatch.name,
+                              .load = {}});
+    dispatch.module = entry->second;
+    for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
+      const KernelBinding& from = source.bindings[binding];
+      const uint32_t resource = from.is_work ? tiles->work()
+                                : from.constant.empty()
+                                    ? tensors.of(from.value)
+                                    : tensors.packed(from.constant, dispatch.name);
+      dispatch.bindings.push_back(planned_binding(binding, from, resource));
+    }
+  };
   for (size_t i = 0; i < groups.size(); ++i) {
     if (!groups[i]) return groups[i].error();
     const GroupProblem& problem = graph.problems[i];
@@ -361,32 +384,31 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
           defines.emplace_back("SHALE_LIST", fmt::format("{}", tiles->list(commands)));
         ++commands;
       }
-      const std::string key = defines.empty() ? source.glsl : defines[0].second + source.glsl;
-      const auto [entry, is_new] =
-          known.try_emplace(key, static_cast<uint32_t>(plan.sources.size()));
-      if (is_new)
-        plan.sources.push_back({.glsl = std::move(source.glsl),
-                                .optimize = source.optimize,
-                                .defines = std::move(defines),
-                                .where = dispatch.name,
-                                .load = {}});
-      dispatch.module = entry->second;
-      for (uint32_t binding = 0; binding < source.bindings.size(); ++binding) {
-        const KernelBinding& from = source.bindings[binding];
-        const uint32_t resource = from.is_work ? tiles->work()
-                                  : from.constant.empty()
-                                      ? tensors.of(from.value)
-                                      : tensors.packed(from.constant, dispatch.name);
-        dispatch.bindings.push_back(planned_binding(binding, from, resource));
-        const Resource& bound = plan.variant.resources[resource];
+      add_kernel(dispatch, source, std::move(defines));
+      for (const Binding& binding : dispatch.bindings) {
+        const Resource& bound = plan.variant.resources[binding.resource];
         if (bound.category != Category::kIntermediate) continue;
         uint32_t& last =
-            plan.live.try_emplace(resource, LiveInterval{number, number, bound.size_bytes})
+            plan.live.try_emplace(binding.resource, LiveInterval{number, number, bound.size_bytes})
                 .first->second.last;
         last = graph.tile_tolerance ? kAlways : number;
       }
       ++number;
       segment.dispatches.push_back(std::move(dispatch));
+    }
+    if (!starts[i]) return starts[i].error();
+    // A dispatch for a dispatch: a form in parts would need barriers of its own.
+    if (starts[i]->size() == 1 && sources.size() == 1) {
+      const KernelFamily& start = *graph.selection.start_families[i];
+      const Dispatch& own = segment.dispatches.back();
+      Dispatch form;
+      form.name = own.name;
+      form.kernel = start.name;
+      form.workgroups = starts[i]->front().workgroups;
+      form.cost = share(problem.cost, work_time_us(start.work(problem, profile), profile.ns), 1);
+      add_kernel(form, starts[i]->front(), {});
+      segment.start_forms.push_back(
+          {static_cast<uint32_t>(segment.dispatches.size() - 1), std::move(form)});
     }
     if (problem.proof && !graph_was_planned) plan.variant.proofs.push_back(*problem.proof);
   }

@@ -73,12 +73,15 @@ Result<void> build_modules(Plan& plan, const ModuleOptions& options) {
   }
   for (Segment& segment : variant.segments) {
     if (segment.kind == SegmentKind::kTransfer) continue;
-    for (Dispatch& dispatch : segment.dispatches) {
+    const auto finish = [&](Dispatch& dispatch) -> Result<void> {
       SHALE_TRY_VOID(
           check_interface(modules[dispatch.module]->interface, dispatch, variant,
                           segment.kind == SegmentKind::kCompute ? param_bytes(variant) : 0));
       dispatch.module = indices[dispatch.module];
-    }
+      return {};
+    };
+    for (Dispatch& dispatch : segment.dispatches) SHALE_TRY_VOID(finish(dispatch));
+    for (StartForm& start : segment.start_forms) SHALE_TRY_VOID(finish(start.form));
   }
   variant.requirements = binding_requirements(variant);
   variant.requirements.features.bits |= from_modules.features.bits;

@@ -1,3 +1,5 @@
+#include <fmt/ranges.h>
+
 #include "compiler/plan/plan.h"
 
 namespace shale {
@@ -47,6 +49,18 @@ std::string binding_kind(const Binding& binding) {
   return "?";
 }
 
+std::string bindings_text(const Dispatch& dispatch, const Plan& plan) {
+  std::string text;
+  for (const Binding& binding : dispatch.bindings)
+    text += fmt::format(
+        "      {} {} {}{} as {}\n", binding.binding,
+        binding.reads && binding.writes ? "updates" : (binding.writes ? "writes" : "reads"),
+        plan.variant.resources[binding.resource].name,
+        binding.frames_back == 0 ? "" : fmt::format(", {} back", binding.frames_back),
+        binding_kind(binding));
+  return text;
+}
+
 std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, const Plan& plan,
                           size_t number) {
   const auto& [x, y, z] = dispatch.workgroups;
@@ -58,13 +72,11 @@ std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, cons
                         plan.variant.resources[dispatch.indirect->resource].name);
   if (dispatch.command_bytes) text += fmt::format(" by command at {}", *dispatch.command_bytes);
   text += '\n';
-  for (const Binding& binding : dispatch.bindings)
-    text += fmt::format(
-        "      {} {} {}{} as {}\n", binding.binding,
-        binding.reads && binding.writes ? "updates" : (binding.writes ? "writes" : "reads"),
-        plan.variant.resources[binding.resource].name,
-        binding.frames_back == 0 ? "" : fmt::format(", {} back", binding.frames_back),
-        binding_kind(binding));
+  text += bindings_text(dispatch, plan);
+  for (const auto& [index, form] : segment.start_forms)
+    if (&segment.dispatches[index] == &dispatch)
+      text += fmt::format("    at first: {} {}\n{}", form.kernel, fmt::join(form.workgroups, "x"),
+                          bindings_text(form, plan));
   return text;
 }
 

@@ -330,6 +330,40 @@ Result<void> check_tiles(const std::string& where, const Segment& segment, const
   return {};
 }
 
+/// The tensors that a dispatch binds and that are no weights, with what it does to them, in order.
+std::vector<std::array<uint32_t, 3>> touched_tensors(const Dispatch& dispatch,
+                                                     const Variant& variant) {
+  std::vector<std::array<uint32_t, 3>> touched;
+  for (const Binding& binding : dispatch.bindings)
+    if (variant.resources[binding.resource].category != Category::kWeights)
+      touched.push_back({binding.resource, binding.reads, binding.writes});
+  std::sort(touched.begin(), touched.end());
+  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+  return touched;
+}
+
+/// Behind check_dispatch of each dispatch.
+Result<void> check_start_forms(const std::string& where, const Segment& segment,
+                               const Variant& variant) {
+  for (size_t i = 0; i < segment.start_forms.size(); ++i) {
+    const auto& [index, form] = segment.start_forms[i];
+    if (segment.kind != SegmentKind::kGraph || segment.tiles)
+      return bad_input(where, "has start forms, which only graph segments without tiles can");
+    if (index >= segment.dispatches.size() ||
+        (i > 0 && index <= segment.start_forms[i - 1].dispatch))
+      return bad_input(where, "start form {}: dispatch {} does not exist, or is out of order", i,
+                       index);
+    const Dispatch& own = segment.dispatches[index];
+    const std::string at = fmt::format("{}, start form of \"{}\"", where, own.name);
+    if (form.name != own.name || form.command_bytes || form.indirect)
+      return bad_input(at, "has another name, or a grid of the device");
+    SHALE_TRY_VOID(check_dispatch(at, form, variant, segment.kind));
+    if (touched_tensors(form, variant) != touched_tensors(own, variant))
+      return bad_input(at, "reads or writes other tensors than the dispatch");
+  }
+  return {};
+}
+
 Result<void> check_proof(const std::string& where, const RangeProof& proof) {
   if (proof.min.size() != proof.max.size() || proof.min.size() != proof.magnitude.size())
     return bad_input(where, "{} minima, {} maxima and {} magnitudes, expected as many of each",
@@ -614,6 +648,7 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
                                     dispatch, variant, segment.kind));
     }
     SHALE_TRY_VOID(check_tiles(at, segment, variant));
+    SHALE_TRY_VOID(check_start_forms(at, segment, variant));
   }
   SHALE_TRY_VOID(check_programs(where, variant));
   SHALE_TRY_VOID(check_params(where, variant));
@@ -635,38 +670,40 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
 
 Requirements binding_requirements(const Variant& variant) {
   Requirements needs;
-  for (const Segment& segment : variant.segments) {
-    for (const Dispatch& dispatch : segment.dispatches) {
-      uint32_t storage_buffers = 0;
-      uint32_t texel_buffers = 0;
-      uint32_t storage_images = 0;
-      for (const Binding& binding : dispatch.bindings) {
-        const Resource& resource = variant.resources[binding.resource];
-        switch (binding.type) {
-          case BindingType::kStorageBuffer:
-            ++storage_buffers;
-            needs.storage_range_bytes = std::max(needs.storage_range_bytes, bound_bytes(resource));
-            break;
-          case BindingType::kUniformTexelBuffer:
-            ++texel_buffers;
-            needs.texel_elements =
-                std::max(needs.texel_elements,
-                         resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
-            break;
-          case BindingType::kSampledImage:
-          case BindingType::kSampler: ++texel_buffers; break;
-          case BindingType::kStorageImage:
-            ++storage_images;
-            if (image_format_info(resource.format).extended)
-              needs.features.add(Feature::kStorageImageExtended);
-            break;
-          case BindingType::kTransfer: break;
-        }
+  const auto add = [&](const Dispatch& dispatch) {
+    uint32_t storage_buffers = 0;
+    uint32_t texel_buffers = 0;
+    uint32_t storage_images = 0;
+    for (const Binding& binding : dispatch.bindings) {
+      const Resource& resource = variant.resources[binding.resource];
+      switch (binding.type) {
+        case BindingType::kStorageBuffer:
+          ++storage_buffers;
+          needs.storage_range_bytes = std::max(needs.storage_range_bytes, bound_bytes(resource));
+          break;
+        case BindingType::kUniformTexelBuffer:
+          ++texel_buffers;
+          needs.texel_elements =
+              std::max(needs.texel_elements,
+                       resource.size_bytes / image_format_info(binding.view_format).texel_bytes);
+          break;
+        case BindingType::kSampledImage:
+        case BindingType::kSampler: ++texel_buffers; break;
+        case BindingType::kStorageImage:
+          ++storage_images;
+          if (image_format_info(resource.format).extended)
+            needs.features.add(Feature::kStorageImageExtended);
+          break;
+        case BindingType::kTransfer: break;
       }
-      needs.storage_buffers = std::max(needs.storage_buffers, storage_buffers);
-      needs.texel_buffers = std::max(needs.texel_buffers, texel_buffers);
-      needs.storage_images = std::max(needs.storage_images, storage_images);
     }
+    needs.storage_buffers = std::max(needs.storage_buffers, storage_buffers);
+    needs.texel_buffers = std::max(needs.texel_buffers, texel_buffers);
+    needs.storage_images = std::max(needs.storage_images, storage_images);
+  };
+  for (const Segment& segment : variant.segments) {
+    for (const Dispatch& dispatch : segment.dispatches) add(dispatch);
+    for (const StartForm& start : segment.start_forms) add(start.form);
   }
   return needs;
 }

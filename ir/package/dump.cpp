@@ -90,6 +90,11 @@ void dump_segment(std::string& text, const Segment& segment, const Variant& vari
          d.cost.time_us, d.cost.macs, d.cost.ops, d.cost.bytes_read, d.cost.bytes_written);
     for (const Binding& binding : d.bindings) dump_binding(text, binding, variant);
   }
+  for (const auto& [index, d] : segment.start_forms) {
+    line(text, "    start of \"{}\": {} module {} grid {}x{}x{}, predicted {:.1f} us", d.name,
+         d.kernel, d.module, d.workgroups[0], d.workgroups[1], d.workgroups[2], d.cost.time_us);
+    for (const Binding& binding : d.bindings) dump_binding(text, binding, variant);
+  }
 }
 
 void dump_variant(std::string& text, size_t index, const Variant& variant) {

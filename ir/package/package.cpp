@@ -90,13 +90,20 @@ Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
                              d.command_bytes.value_or(0));
 }
 
+Offset<fbs::StartForm> write_start_form(Builder& builder, const StartForm& s) {
+  return fbs::CreateStartForm(builder, s.dispatch, write_dispatch(builder, s.form));
+}
+
 Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
   const auto name = builder.CreateString(s.name);
   const auto dispatches = write_all<fbs::Dispatch>(builder, s.dispatches, write_dispatch);
   const auto tiles =
       s.tiles ? fbs::CreateTiles(builder, s.tiles->changes, s.tiles->work, s.tiles->tolerance) : 0;
+  const auto start_forms =
+      s.start_forms.empty() ? 0
+                            : write_all<fbs::StartForm>(builder, s.start_forms, write_start_form);
   return fbs::CreateSegment(builder, name, static_cast<fbs::SegmentKind>(s.kind), dispatches,
-                            s.program, tiles);
+                            s.program, tiles, start_forms);
 }
 
 Offset<fbs::Module> write_module(Builder& builder, const Spirv& words) {
@@ -267,6 +274,10 @@ Dispatch read_dispatch(Copier& copy, const fbs::Dispatch& d) {
   return dispatch;
 }
 
+StartForm read_start_form(Copier& copy, const fbs::StartForm& s) {
+  return {s.dispatch(), read_dispatch(copy, *s.form())};
+}
+
 Segment read_segment(Copier& copy, const fbs::Segment& s) {
   Segment segment;
   segment.name = copy.text(s.name());
@@ -275,6 +286,7 @@ Segment read_segment(Copier& copy, const fbs::Segment& s) {
   segment.program = s.program();
   if (const fbs::Tiles* t = s.tiles())
     segment.tiles = Tiles{t->changes(), t->work(), t->tolerance()};
+  segment.start_forms = copy.tables(s.start_forms(), read_start_form);
   return segment;
 }
 

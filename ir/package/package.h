@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 7;
+inline constexpr uint32_t kPackageMinor = 8;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -253,6 +253,15 @@ struct Tiles {
 };
 inline constexpr uint32_t kMaxTileTolerance = 255;
 
+/// Another kernel for what a dispatch of a kGraph segment without Tiles does, one that drivers compile at once: it serves
+/// until they have compiled the dispatch's own, and gives the same bits.
+struct StartForm {
+  uint32_t dispatch = 0;  ///< index into Segment::dispatches
+  /// Under the dispatch's name. Of the tensors that are no weights it binds the same, for the same accesses.
+  Dispatch form;
+  bool operator==(const StartForm&) const = default;
+};
+
 /// Dispatches in order. A pre or post pass is a kCompute or kTransfer segment around the kGraph
 /// segments; a program without a kGraph segment is a sandwich without a network.
 struct Segment {
@@ -261,6 +270,7 @@ struct Segment {
   std::vector<Dispatch> dispatches;
   uint32_t program = 0;  ///< index into Variant::programs
   std::optional<Tiles> tiles = std::nullopt;
+  std::vector<StartForm> start_forms = {};  ///< in the order of the dispatches that have one
   bool operator==(const Segment&) const = default;
 };
 

@@ -4,14 +4,18 @@
 
 #include <algorithm>
 #include <map>
-#include <numeric>
+#include <thread>
 
 #include "ir/base/parallel.h"
 #include "ir/package/rank.h"
+#include "runtime/datagraph/driver_code.h"
 #include "runtime/vk/commands.h"
 
 namespace shale {
 namespace {
+
+/// Modules of so many words in all keep lavapipe busy for some ten seconds.
+constexpr size_t kLongCompileWords = 500000;
 
 VkDescriptorType descriptor_type(BindingType type) {
   switch (type) {
@@ -79,29 +83,6 @@ Result<vk::PipelineLayoutHandle> create_layout(const vk::Context& context,
                   "vkCreatePipelineLayout", context.device, info);
 }
 
-Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spirv& words,
-                                           VkPipelineLayout layout, VkPipelineCache cache) {
-  auto module_info =
-      vk::init<VkShaderModuleCreateInfo>(VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
-  module_info.codeSize = words.size() * sizeof(uint32_t);
-  module_info.pCode = words.data();
-  SHALE_TRY(const auto module,
-            vk::make(context.vk.CreateShaderModule, context.vk.DestroyShaderModule,
-                     "vkCreateShaderModule", context.device, module_info));
-  auto info = vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
-  info.layout = layout;
-  info.stage = vk::init<VkPipelineShaderStageCreateInfo>(
-      VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO);
-  info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
-  info.stage.module = module.get();
-  info.stage.pName = "main";
-  VkPipeline pipeline = VK_NULL_HANDLE;
-  SHALE_TRY_VOID(vk::check(
-      context.vk.CreateComputePipelines(context.device, cache, 1, &info, nullptr, &pipeline),
-      "vkCreateComputePipelines"));
-  return vk::PipelineHandle(context.device, pipeline, context.vk.DestroyPipeline);
-}
-
 }  // namespace
 
 Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps) {
@@ -115,7 +96,8 @@ Result<uint32_t> choose_variant(const Package& package, const DeviceCaps& caps) 
 }
 
 Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, const Package& package,
-                                                 const Selection& select, VkPipelineCache cache) {
+                                                 const Selection& select,
+                                                 const PipelineOptions& options) {
   SHALE_TRY_VOID(check_package(package));
   SHALE_TRY(const uint32_t index, choose_variant(package, context.caps));
   const Variant& variant = package.variants[index];
@@ -132,15 +114,18 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
     std::vector<std::vector<Access>> touched;
     for (const Segment& segment : segments) {
       const bool is_graph = segment.kind == SegmentKind::kGraph;
+      auto start = segment.start_forms.begin();
       for (const Dispatch& dispatch : segment.dispatches) {
         dispatches.push_back({&segment, &dispatch, is_graph ? 0 : param_bytes(variant)});
+        if (start != segment.start_forms.end() && &segment.dispatches[start->dispatch] == &dispatch)
+          dispatches.back().start = &(start++)->form;
         touched.push_back(accesses(result->variant_, dispatch, segment.tiles));
       }
     }
     std::ranges::copy(plan_barriers(touched), std::back_inserter(barriers));
   }
   result->program_begins_.push_back(dispatches.size());
-  SHALE_TRY_VOID(result->create_pipelines(variant, dispatches, cache));
+  SHALE_TRY_VOID(result->create_pipelines(package, variant, dispatches, options));
   for (size_t i = 0; i < barriers.size(); ++i) result->steps_[i].barrier_before = barriers[i];
 
   if (!package.weights.empty()) {
@@ -151,16 +136,20 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
   return result;
 }
 
-Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const Wanted> dispatches,
-                                       VkPipelineCache cache) {
+Result<void> Kernels::create_pipelines(const Package& package, const Variant& variant,
+                                       std::span<const Wanted> dispatches,
+                                       const PipelineOptions& options) {
   struct Unique {
     uint32_t module;
     size_t layout;
+    const Wanted* first;    // step that it is for
+    bool is_early = false;  // a step has nothing else
   };
   std::map<LayoutKey, size_t> layout_index;
   std::map<std::pair<uint32_t, size_t>, size_t> pipeline_index;
   std::vector<Unique> wanted;
   std::vector<std::optional<size_t>> pipeline_of_step;
+  std::vector<size_t> pipeline_of_start;
   const auto has_sampler = [](const Wanted& each) {
     return std::ranges::any_of(each.dispatch->bindings, [](const Binding& binding) {
       return binding.type == BindingType::kSampler;
@@ -169,65 +158,120 @@ Result<void> Kernels::create_pipelines(const Variant& variant, std::span<const W
   if (std::ranges::any_of(dispatches, has_sampler)) {
     SHALE_TRY(sampler_, create_sampler(context_));
   }
-  for (const auto& [segment, dispatch, push_bytes] : dispatches) {
-    const bool is_first = dispatch == segment->dispatches.data();
-    if (segment->tiles) has_tiles_ = true;
-    if (segment->kind == SegmentKind::kTransfer) {
-      pipeline_of_step.emplace_back();
-      steps_.push_back(
-          {.dispatch = dispatch, .is_transfer = true, .segment = segment, .is_first = is_first});
-      has_transfers_ = true;
-      continue;
-    }
+  /// A step without a pipeline, and the number of that.
+  const auto prepare = [&](const Wanted& each,
+                           const Dispatch& dispatch) -> Result<std::pair<Step, size_t>> {
     const auto [layout, new_layout] =
-        layout_index.try_emplace(layout_key(*dispatch, push_bytes), layouts_.size());
+        layout_index.try_emplace(layout_key(dispatch, each.push_bytes), layouts_.size());
     if (new_layout) {
       SHALE_TRY(set_layouts_.emplace_back(),
                 create_set_layout(context_, layout->first, sampler_.get()));
       SHALE_TRY(layouts_.emplace_back(),
-                create_layout(context_, set_layouts_.back().get(), push_bytes));
+                create_layout(context_, set_layouts_.back().get(), each.push_bytes));
     }
     const auto [pipeline, new_pipeline] =
-        pipeline_index.try_emplace({dispatch->module, layout->second}, wanted.size());
-    if (new_pipeline) wanted.push_back({dispatch->module, layout->second});
-    pipeline_of_step.push_back(pipeline->second);
-    has_indirect_ = has_indirect_ || dispatch->indirect;
-    steps_.push_back({.dispatch = dispatch,
-                      .set_layout = set_layouts_[layout->second].get(),
-                      .layout = layouts_[layout->second].get(),
-                      .takes_params = push_bytes > 0,
-                      .segment = segment,
-                      .is_first = is_first});
+        pipeline_index.try_emplace({dispatch.module, layout->second}, wanted.size());
+    if (new_pipeline) wanted.push_back({dispatch.module, layout->second, &each});
+    return std::pair{Step{.dispatch = &dispatch,
+                          .set_layout = set_layouts_[layout->second].get(),
+                          .layout = layouts_[layout->second].get(),
+                          .takes_params = each.push_bytes > 0,
+                          .segment = each.segment,
+                          .is_first = each.dispatch == each.segment->dispatches.data()},
+                     pipeline->second};
+  };
+  for (const Wanted& each : dispatches) {
+    if (each.segment->tiles) has_tiles_ = true;
+    if (each.segment->kind == SegmentKind::kTransfer) {
+      pipeline_of_step.emplace_back();
+      steps_.push_back({.dispatch = each.dispatch,
+                        .is_transfer = true,
+                        .segment = each.segment,
+                        .is_first = each.dispatch == each.segment->dispatches.data()});
+      has_transfers_ = true;
+      continue;
+    }
+    SHALE_TRY(auto own, prepare(each, *each.dispatch));
+    has_indirect_ = has_indirect_ || each.dispatch->indirect;
+    if (each.start && options.compile != Compile::kAtOnce) {
+      SHALE_TRY(const auto start, prepare(each, *each.start));
+      own.first.start = &starts_.emplace_back(start.first);
+      pipeline_of_start.push_back(start.second);
+      wanted[start.second].is_early = true;
+    } else {
+      wanted[own.second].is_early = true;
+    }
+    pipeline_of_step.push_back(own.second);
+    steps_.push_back(own.first);
   }
 
-  pipelines_.resize(wanted.size());
-  std::vector<Result<void>> outcomes(wanted.size());
+  std::vector<size_t> job_of(wanted.size());
+  std::vector<LateJob> jobs;
+  std::vector<size_t> order;
+  for (size_t i = 0; i < wanted.size(); ++i) {
+    if (wanted[i].is_early) {
+      order.push_back(i);
+      continue;
+    }
+    const Wanted& of = *wanted[i].first;
+    job_of[i] = jobs.size();
+    jobs.push_back({.words = variant.modules[wanted[i].module],
+                    .layout = layouts_[wanted[i].layout].get(),
+                    .segment = of.segment,
+                    .dispatch = of.dispatch,
+                    .gain_us = of.start->cost.time_us - of.dispatch->cost.time_us});
+  }
   // The long ones first, or the last of them would keep one core busy alone.
-  std::vector<size_t> order(wanted.size());
-  std::iota(order.begin(), order.end(), size_t{0});
   std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) {
     return variant.modules[wanted[a].module].size() > variant.modules[wanted[b].module].size();
   });
+  const uint32_t half = std::max(std::thread::hardware_concurrency() / 2, 2u),
+                 threads = options.threads == 0 ? half : options.threads;
+  std::vector<DriverWork> long_work;
+  size_t words = 0;
+  for (const size_t i : order) {
+    const Wanted& of = *wanted[i].first;
+    if (of.segment->kind != SegmentKind::kGraph || of.dispatch->module != wanted[i].module)
+      continue;
+    long_work.push_back({of.segment, of.dispatch, &variant.modules[wanted[i].module]});
+    words += long_work.back().words->size();
+  }
+  if (threads > 1 && words > kLongCompileWords)
+    compile_ahead(context_, variant_, long_work, package.weights.size(), threads);
+  pipelines_.resize(wanted.size());
+  std::vector<Result<void>> outcomes(wanted.size());
   parallel_for(order.size(), [&](size_t n) {
     const size_t i = order[n];
     auto pipeline = create_pipeline(context_, variant.modules[wanted[i].module],
-                                    layouts_[wanted[i].layout].get(), cache);
+                                    layouts_[wanted[i].layout].get(), options.cache);
     if (pipeline) {
       pipelines_[i] = std::move(*pipeline);
     } else {
       outcomes[i] = std::move(pipeline.error());
     }
   });
-  for (size_t i = 0; i < steps_.size(); ++i) {
-    if (!pipeline_of_step[i]) continue;
-    Result<void>& outcome = outcomes[*pipeline_of_step[i]];
+  const auto finish = [&](Step& step, size_t pipeline) -> Result<void> {
+    Result<void>& outcome = outcomes[pipeline];
     if (!outcome) {
       outcome.error().where =
-          fmt::format("dispatch \"{}\": {}", steps_[i].dispatch->name, outcome.error().where);
+          fmt::format("dispatch \"{}\": {}", step.dispatch->name, outcome.error().where);
       return std::move(outcome.error());
     }
-    steps_[i].pipeline = pipelines_[*pipeline_of_step[i]].get();
+    step.pipeline = pipelines_[pipeline].get();
+    return {};
+  };
+  for (size_t i = 0; i < starts_.size(); ++i)
+    SHALE_TRY_VOID(finish(starts_[i], pipeline_of_start[i]));
+  for (size_t i = 0; i < steps_.size(); ++i) {
+    if (!pipeline_of_step[i]) continue;
+    SHALE_TRY_VOID(finish(steps_[i], *pipeline_of_step[i]));
+    steps_[i].late_job = job_of[*pipeline_of_step[i]];
+    if (steps_[i].pipeline != VK_NULL_HANDLE) steps_[i].start = nullptr;
   }
+  if (jobs.empty()) return {};
+  late_ = std::make_unique<LatePipelines>(context_, variant_, package.weights.size(),
+                                          std::move(jobs), options.cache,
+                                          options.compile == Compile::kInBackground ? threads : 0);
   return {};
 }
 
@@ -395,25 +439,31 @@ Result<void> check_timestamps(const vk::Timestamps* timestamps, size_t steps) {
 }
 
 void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<const Step> steps,
-                  std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
+                  std::span<const StepSets> sets, std::span<const uint8_t> params,
                   const TargetOf& target, bool runs_all, vk::Timestamps* timestamps) {
   const vk::Functions& vk = kernels.context().vk;
   if (timestamps) timestamps->start(commands);
+  bool may_take = true;
   for (size_t i = 0; i < steps.size(); ++i) {
-    const Step& step = steps[i];
+    const Step& own = steps[i];
+    const VkPipeline late =
+        own.start ? kernels.late()->take(own.late_job, may_take) : VkPipeline{VK_NULL_HANDLE};
+    const bool is_start = own.start && late == VK_NULL_HANDLE;
+    const Step& step = is_start ? *own.start : own;
     const std::optional<Tiles>& tiles = step.segment->tiles;
-    if (tiles && step.is_first)
+    if (tiles && own.is_first)
       record_tiles(commands, *tiles, kernels, target, runs_all);
-    else if (step.barrier_before)
+    else if (own.barrier_before)
       kernels.barrier(commands);
     if (step.is_transfer) {
       record_transfer(commands, *step.dispatch, kernels, target);
       if (timestamps) timestamps->mark(commands);
       continue;
     }
-    vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.pipeline);
-    vk.CmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1, &sets[i],
-                             0, nullptr);
+    vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE,
+                       late != VK_NULL_HANDLE ? late : step.pipeline);
+    vk.CmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE, step.layout, 0, 1,
+                             is_start ? &sets[i].start : &sets[i].own, 0, nullptr);
     if (step.takes_params)
       vk.CmdPushConstants(commands, step.layout, VK_SHADER_STAGE_COMPUTE_BIT, 0,
                           static_cast<uint32_t>(params.size()), params.data());

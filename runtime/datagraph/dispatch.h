@@ -4,6 +4,7 @@
 #pragma once
 
 #include <atomic>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <span>
@@ -11,6 +12,7 @@
 
 #include "ir/package/package.h"
 #include "runtime/datagraph/barriers.h"
+#include "runtime/datagraph/late_pipelines.h"
 #include "runtime/datagraph/session.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/handle.h"
@@ -24,17 +26,27 @@ inline constexpr uint64_t padded_bytes(uint64_t pool_bytes) {
   return (pool_bytes + kBufferAlignment - 1) / kBufferAlignment * kBufferAlignment;
 }
 
+inline constexpr bool is_host_image(Category category) {
+  return category == Category::kImageInput || category == Category::kImageOutput;
+}
+/// A graph's input or output.
+inline constexpr bool is_graph_tensor(Category category) {
+  return category == Category::kInput || category == Category::kOutput;
+}
+
 /// A dispatch ready to be recorded; handles belong to Kernels.
 struct Step {
   const Dispatch* dispatch = nullptr;
   VkDescriptorSetLayout set_layout = VK_NULL_HANDLE;
   VkPipelineLayout layout = VK_NULL_HANDLE;
-  VkPipeline pipeline = VK_NULL_HANDLE;
-  bool takes_params = false;  ///< its layout has the variant's push constants
-  bool is_transfer = false;   ///< has no handles
+  VkPipeline pipeline = VK_NULL_HANDLE;  ///< null while a start form serves
+  bool takes_params = false;             ///< its layout has the variant's push constants
+  bool is_transfer = false;              ///< has no handles
   bool barrier_before = false;
   const Segment* segment = nullptr;  ///< that it belongs to
   bool is_first = false;             ///< of its segment
+  const Step* start = nullptr;       ///< what serves until the pipeline is there
+  size_t late_job = 0;               ///< with `start`: that of Kernels::late()
 };
 
 /// Which segments of a variant are made ready: those of each program that is to be recorded, which
@@ -42,16 +54,23 @@ struct Step {
 /// Errors: its own.
 using Selection = std::function<Result<std::vector<std::span<const Segment>>>(const Variant&)>;
 
+/// Where pipelines are looked up and left, or null; and when those behind start forms are made.
+struct PipelineOptions {
+  VkPipelineCache cache = VK_NULL_HANDLE;
+  Compile compile = Compile::kAtOnce;
+  uint32_t threads = 0;  ///< as in DataGraphPipelineOptions
+};
+
 /// One variant of a package on a device. Its address is kept by what is made from it.
 class Kernels {
  public:
   /// Takes the best variant that the device meets (rank.h), creates one pipeline per unique module and
-  /// descriptor layout, on all cores, and gets the weights ready. `cache` may be VK_NULL_HANDLE.
-  /// Submits nothing.
+  /// descriptor layout, on all cores, but for those that come late, and gets the weights ready. Submits nothing.
   /// Errors: kBadInput (check_package), those of `select`, kDevice (no variant fits, telling why
   /// for each; or the device refuses).
   static Result<std::unique_ptr<Kernels>> create(const vk::Context& context, const Package& package,
-                                                 const Selection& select, VkPipelineCache cache);
+                                                 const Selection& select,
+                                                 const PipelineOptions& options);
 
   const vk::Context& context() const { return context_; }
   /// Without the words of its modules.
@@ -78,6 +97,13 @@ class Kernels {
   /// True if segments of the steps have Tiles.
   bool has_tiles() const { return has_tiles_; }
 
+  /// Pipelines that come after the first record; null if there are none.
+  LatePipelines* late() const { return late_.get(); }
+  /// As DataGraphPipeline has them.
+  size_t left() const { return late_ ? late_->left() : 0; }
+  Result<bool> compile_one() const { return late_ ? late_->compile_one() : false; }
+  Result<void> finish() const { return late_ ? late_->finish() : Result<void>(); }
+
   /// Offsets of caller's buffers must be multiples of this.
   uint64_t tensor_alignment() const;
 
@@ -87,9 +113,10 @@ class Kernels {
     const Segment* segment;
     const Dispatch* dispatch;
     uint32_t push_bytes;
+    const Dispatch* start = nullptr;  ///< its start form
   };
-  Result<void> create_pipelines(const Variant& variant, std::span<const Wanted> dispatches,
-                                VkPipelineCache cache);
+  Result<void> create_pipelines(const Package& package, const Variant& variant,
+                                std::span<const Wanted> dispatches, const PipelineOptions& options);
 
   vk::Context context_;
   Variant variant_;
@@ -104,6 +131,8 @@ class Kernels {
   bool has_transfers_ = false;
   bool has_indirect_ = false;
   bool has_tiles_ = false;
+  std::deque<Step> starts_;              // what serves in place of steps
+  std::unique_ptr<LatePipelines> late_;  // goes first: its threads use the layouts
 };
 
 /// What a binding leads to: a buffer from `offset` on, or an image in VK_IMAGE_LAYOUT_GENERAL: its
@@ -138,12 +167,17 @@ class DescriptorSets {
   std::vector<std::vector<vk::BufferViewHandle>> texel_views_;  // by set
 };
 
+/// The descriptor sets of a step and, if it has one, of its start form.
+struct StepSets {
+  VkDescriptorSet own = VK_NULL_HANDLE, start = VK_NULL_HANDLE;
+};
+
 /// Records steps of `kernels` in order, each with its set and the barrier before it; `params`
 /// are the push constants of steps that take them, `target` answers for the ends of transfers and for Tiles,
 /// `timestamps` may be null and otherwise is started and marked after each step. Segments with Tiles run all that
 /// they have if `runs_all`.
 void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<const Step> steps,
-                  std::span<const VkDescriptorSet> sets, std::span<const uint8_t> params,
+                  std::span<const StepSets> sets, std::span<const uint8_t> params,
                   const TargetOf& target, bool runs_all, vk::Timestamps* timestamps);
 
 /// Errors: kBadInput if there are timestamps of fewer intervals than steps.

@@ -38,7 +38,8 @@ Result<DataGraphPipeline> DataGraphPipeline::create(const vk::Context& device,
     SHALE_TRY(graph, find_graph(variant, options.graph));
     return std::vector{std::span(graph, 1)};
   };
-  SHALE_TRY(auto kernels, Kernels::create(device, package, select, options.cache));
+  SHALE_TRY(auto kernels, Kernels::create(device, package, select,
+                                          {options.cache, options.compile, options.threads}));
   return DataGraphPipeline(std::move(kernels), graph);
 }
 
@@ -51,6 +52,12 @@ DataGraphPipeline::~DataGraphPipeline() = default;
 const Variant& DataGraphPipeline::variant() const { return kernels_->variant(); }
 
 const Segment& DataGraphPipeline::graph() const { return *graph_; }
+
+size_t DataGraphPipeline::kernels_left() const { return kernels_->left(); }
+
+Result<bool> DataGraphPipeline::compile_one() { return kernels_->compile_one(); }
+
+Result<void> DataGraphPipeline::finish() { return kernels_->finish(); }
 
 void DataGraphPipeline::release_staging() { kernels_->release_staging(); }
 

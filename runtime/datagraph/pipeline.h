@@ -17,15 +17,26 @@ namespace shale {
 
 class Kernels;
 
+/// When the pipelines are made for which start forms stand in (StartForm in package.h). A record takes for each dispatch
+/// what is there by then, at most one pipeline more than the record before; results are the same, bit for bit.
+enum class Compile : uint8_t {
+  kInBackground,  ///< by threads that the object owns and ends
+  kByHost,        ///< by compile_one(), on threads of the host's
+  kAtOnce,        ///< before create() returns; no start form serves
+};
+
 struct DataGraphPipelineOptions {
-  /// Where compiled pipelines are looked up and left, such as vk::PipelineCache::get(). Not owned.
+  /// Where compiled pipelines are looked up and left, such as vk::PipelineCache::get(). Not owned; must outlive the object.
   VkPipelineCache cache = VK_NULL_HANDLE;
   /// Name of the graph segment; may be left out where there is only one.
   std::string graph = {};
+  Compile compile = Compile::kInBackground;
+  uint32_t threads = 0;  ///< in the background; 0 is half of the processors, at least 2
 };
 
 /// Pipelines and weights of a graph segment of one variant. Must outlive its sessions; its device
-/// must outlive it. May be used from many threads.
+/// must outlive it. May be used from many threads. Its end waits for pipelines that are being made in the background, but
+/// for no others.
 class DataGraphPipeline {
  public:
   /// Takes the best variant that the device meets (rank.h); `package` may go afterwards. Submits nothing.
@@ -43,6 +54,15 @@ class DataGraphPipeline {
   const Variant& variant() const;
   /// The segment that sessions run.
   const Segment& graph() const;
+
+  /// Pipelines that are not there yet; of those that the driver refused, for which start forms go on to serve, too.
+  size_t kernels_left() const;
+  /// Makes one of them on this thread; false if there is none that nobody makes. Any thread may call it.
+  /// Errors: kDevice.
+  Result<bool> compile_one();
+  /// Returns when all are there, with this thread's help if no others are at work; later records take all of them.
+  /// Errors: kDevice, what was refused first.
+  Result<void> finish();
 
   /// Frees the host's copy of the weights, if there is one. The first recorded work must have been
   /// finished by the device, and no other thread may use the pipeline meanwhile. Without it the

@@ -13,7 +13,8 @@ struct Session::State {
   std::vector<VkBuffer> buffers;  // by resource; null until bound
   std::vector<uint64_t> offsets;  // of the tensor in its buffer, by resource
   DescriptorSets descriptors;
-  std::vector<VkDescriptorSet> sets;  // by step
+  size_t set_count = 0;
+  std::vector<StepSets> sets;  // by step
   bool descriptors_written = false;
   bool runs_all = true;  // in the next record, where there are Tiles
 };
@@ -31,9 +32,17 @@ Result<Session> Session::create(const DataGraphPipeline& pipeline) {
   state->buffers.resize(variant.resources.size());
   state->offsets.resize(variant.resources.size());
   std::vector<const Step*> steps;
-  for (const Step& step : kernels.steps(0)) steps.push_back(&step);
+  for (const Step& step : kernels.steps(0)) {
+    steps.push_back(&step);
+    if (step.start) steps.push_back(step.start);
+  }
   SHALE_TRY(state->descriptors, DescriptorSets::create(kernels, steps));
-  for (size_t i = 0; i < steps.size(); ++i) state->sets.push_back(state->descriptors[i]);
+  state->set_count = steps.size();
+  size_t set = 0;
+  for (const Step& step : kernels.steps(0)) {
+    StepSets& own = state->sets.emplace_back(StepSets{state->descriptors[set++]});
+    if (step.start) own.start = state->descriptors[set++];
+  }
 
   if (variant.arena_bytes > 0) {
     const vk::Context& context = kernels.context();
@@ -122,7 +131,8 @@ Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamp
           return bad_input(
               fmt::format("tensor \"{}\"", kernels.variant().resources[binding.resource].name),
               "is not bound yet");
-    for (size_t i = 0; i < steps.size(); ++i) SHALE_TRY_VOID(state_->descriptors.write(i, target));
+    for (size_t i = 0; i < state_->set_count; ++i)
+      SHALE_TRY_VOID(state_->descriptors.write(i, target));
     state_->descriptors_written = true;
   }
   kernels.record_upload(commands);

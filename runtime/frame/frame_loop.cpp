@@ -17,14 +17,6 @@ constexpr uint64_t kMaxTensorPoolBytes = uint64_t{1} << 48;
 constexpr uint64_t kMaxFrames = uint64_t{1} << 24;  // that are counted; a float holds it
 constexpr VkImageUsageFlags kShaderUsages = VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT;
 
-bool is_host_image(Category category) {
-  return category == Category::kImageInput || category == Category::kImageOutput;
-}
-
-bool is_graph_tensor(Category category) {
-  return category == Category::kInput || category == Category::kOutput;
-}
-
 /// Leads to different memory in different records, so its set depends on the record.
 bool changes(const Step& step, const Variant& variant) {
   if (step.is_transfer) return false;  // has no set
@@ -43,11 +35,11 @@ VkImageUsageFlags usage_of(const Binding& binding) {
 
 /// What the records of a program that are in flight keep apart.
 struct Slot {
-  std::vector<VkDescriptorSet> sets;  // by step
-  std::vector<size_t> own_sets;       // those that no other slot has, as indices of descriptors
-  std::vector<uint32_t> positions;    // of the program's histories when own_sets were written
-  uint64_t bindings = 0;              // State::bindings when they were written; 0 is never
-  vk::Buffer commands;                // what the segments with Tiles ran by, one behind the other
+  std::vector<StepSets> sets;       // by step
+  std::vector<size_t> own_sets;     // those that no other slot has, as indices of descriptors
+  std::vector<uint32_t> positions;  // of the program's histories when own_sets were written
+  uint64_t bindings = 0;            // State::bindings when they were written; 0 is never
+  vk::Buffer commands;              // what the segments with Tiles ran by, one behind the other
 };
 
 struct Program {
@@ -130,7 +122,8 @@ Result<FrameLoop> FrameLoop::create(const vk::Context& context, const Package& p
     return programs;
   };
   auto state = std::make_unique<State>();
-  SHALE_TRY(state->kernels, Kernels::create(context, package, all_programs, options.cache));
+  SHALE_TRY(state->kernels, Kernels::create(context, package, all_programs,
+                                            {options.cache, options.compile, options.threads}));
   const Variant& variant = state->kernels->variant();
   const size_t count = variant.resources.size();
   state->offsets.resize(count);
@@ -231,12 +224,16 @@ Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
     for (Slot& slot : program.slots) slot.sets.resize(steps.size());
     for (size_t i = 0; i < steps.size(); ++i) {
       if (steps[i].is_transfer) continue;
-      const bool own = changes(steps[i], kernels->variant());
-      if (!own) fixed.emplace_back(owners.size(), &program);
-      for (Slot& slot : program.slots) {
-        if (own || &slot == &program.slots[0]) owners.push_back(&steps[i]);
-        if (own) slot.own_sets.push_back(owners.size() - 1);
-        places.emplace_back(&slot.sets[i], owners.size() - 1);
+      for (const Step* step : {&steps[i], steps[i].start}) {
+        if (!step) continue;
+        const bool own = changes(*step, kernels->variant());
+        if (!own) fixed.emplace_back(owners.size(), &program);
+        for (Slot& slot : program.slots) {
+          if (own || &slot == &program.slots[0]) owners.push_back(step);
+          if (own) slot.own_sets.push_back(owners.size() - 1);
+          places.emplace_back(step == &steps[i] ? &slot.sets[i].own : &slot.sets[i].start,
+                              owners.size() - 1);
+        }
       }
     }
   }
@@ -559,6 +556,9 @@ std::optional<double> FrameLoop::share_run(uint32_t records_ago) const {
 }
 
 uint64_t FrameLoop::frame() const { return state_->frame; }
+size_t FrameLoop::kernels_left() const { return state_->kernels->left(); }
+Result<bool> FrameLoop::compile_one() { return state_->kernels->compile_one(); }
+Result<void> FrameLoop::finish() { return state_->kernels->finish(); }
 
 MemoryUse FrameLoop::memory_use() const {
   const vk::Upload& weights = state_->kernels->weight_memory();

@@ -32,6 +32,8 @@ struct FrameLoopOptions {
   uint32_t frames_in_flight = 2;
   /// As in DataGraphPipelineOptions.
   VkPipelineCache cache = VK_NULL_HANDLE;
+  Compile compile = Compile::kInBackground;
+  uint32_t threads = 0;
 };
 
 /// What a loop takes of the device's memory, in bytes.
@@ -150,6 +152,11 @@ class FrameLoop {
   uint64_t frame() const;
 
   MemoryUse memory_use() const;
+
+  /// As those of DataGraphPipeline, and as there compile_one from any thread.
+  size_t kernels_left() const;
+  Result<bool> compile_one();
+  Result<void> finish();
 
   /// Where a graph input or output lies, for hosts that fill or read one themselves; inputs that no
   /// pass writes have to be filled. Of a history the newest slot that was written. The buffer

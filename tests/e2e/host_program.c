@@ -403,7 +403,9 @@ static uint64_t finish_frame(const Application* app, const Slot* slot) {
 /* Checksums of all frames, `in_flight` of them pending on the queue at once. */
 static void run_frames(const Application* app, const ShalePackage* package, uint32_t in_flight,
                        uint64_t checksums[kFrames]) {
-  const ShaleLoopInfo info = {.struct_size = sizeof(info), .frames_in_flight = in_flight};
+  const ShaleCompile compile = in_flight == 1 ? SHALE_COMPILE_BY_HOST : SHALE_COMPILE_IN_BACKGROUND;
+  const ShaleLoopInfo info = {
+      .struct_size = sizeof(info), .frames_in_flight = in_flight, .compile = compile};
   ShaleLoop* loop = NULL;
   check(shale_loop_create(app->shale, package, &info, &loop, &last));
   Slot slots[kInFlight];
@@ -413,6 +415,12 @@ static void run_frames(const Application* app, const ShalePackage* package, uint
     if (frame >= in_flight) checksums[frame - in_flight] = finish_frame(app, slot);
     if (frame >= kFrames) continue;
     record_frame(loop, slot, frame);
+    VkBool32 did = VK_FALSE;
+    const uint32_t left = shale_loop_kernels_left(loop);
+    if (compile == SHALE_COMPILE_BY_HOST) check(shale_loop_compile_one(loop, &did, &last));
+    if (compile == SHALE_COMPILE_BY_HOST &&
+        (did != (left > 0) || shale_loop_kernels_left(loop) != left - (did ? 1 : 0)))
+      stop(1, "of %u kernels the host compiled %u", left, did);
     const VkSubmitInfo submit = {.sType = VK_STRUCTURE_TYPE_SUBMIT_INFO,
                                  .commandBufferCount = 1,
                                  .pCommandBuffers = &slot->commands};
@@ -444,9 +452,15 @@ static void make_mistakes(const Application* app, const ShalePackage* package) {
   expect_refusal(shale_device_create(&device_info, &device, &last), SHALE_BAD_INPUT,
                  "no physical device is given");
   ShaleLoop* loop = NULL;
-  ShaleLoopInfo info = {.struct_size = sizeof(info), .frames_in_flight = 9};
+  ShaleLoopInfo info = {.struct_size = sizeof(info),
+                        .frames_in_flight = 9,
+                        .compile = SHALE_COMPILE_BY_HOST};
   expect_refusal(shale_loop_create(app->shale, package, &info, &loop, &last), SHALE_BAD_INPUT,
                  "9 frames in flight are outside 1..8");
+  info.compile = (ShaleCompile)3;
+  expect_refusal(shale_loop_create(app->shale, package, &info, &loop, &last), SHALE_BAD_INPUT,
+                 "info: compile is 3, expected");
+  info.compile = SHALE_COMPILE_BY_HOST;
   expect_refusal(shale_loop_create(NULL, package, &info, &loop, &last), SHALE_BAD_INPUT,
                  "device: is null");
   /* Nothing was enabled, says this host. */
@@ -492,7 +506,9 @@ static void make_mistakes(const Application* app, const ShalePackage* package) {
 }
 
 static void describe(const Application* app, const ShalePackage* package) {
-  const ShaleLoopInfo info = {.struct_size = sizeof(info), .frames_in_flight = 1};
+  const ShaleLoopInfo info = {.struct_size = sizeof(info),
+                              .frames_in_flight = 1,
+                              .compile = SHALE_COMPILE_BY_HOST};
   ShaleLoop* loop = NULL;
   check(shale_loop_create(app->shale, package, &info, &loop, &last));
   printf("target %s\n", shale_loop_target(loop));

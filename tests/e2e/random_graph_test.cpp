@@ -96,6 +96,8 @@ class Checker {
       return failure;
 
     if (const auto failure = check_tiles(random, turn)) return failure;
+    if (turn % 4 == 1)
+      if (const auto failure = check_start(random, turn, expected)) return failure;
 
     Graph unfused = compiled->graph;
     bool was_fused = false;
@@ -113,6 +115,7 @@ class Checker {
   }
 
   uint64_t fused = 0;
+  uint64_t started = 0;                     ///< with start forms
   uint64_t elements = 0, anything = 0;      ///< of bounds; those that bound nothing
   std::map<std::string, uint64_t> kernels;  ///< dispatches of each family
 
@@ -155,6 +158,27 @@ class Checker {
     return std::nullopt;
   }
 
+  /// By the kernels of the start, and by those that replace them.
+  Failure check_start(const RandomGraph& random, uint64_t turn, const Expected& expected) {
+    CompileOptions soon = options(true, turn);
+    soon.start_us = 0;
+    const Result<Compiled> compiled = compile_graph(random.graph, 0, soon);
+    if (!compiled) return "compiling with a start: " + compiled.error().text();
+    if (compiled->package.variants[0].segments[0].start_forms.empty()) return std::nullopt;
+    const Result<Package> package = read_package(write_package(compiled->package));
+    if (!package) return "the package with a start is refused: " + package.error().text();
+    Result<NetworkRun> run =
+        NetworkRun::create(device_, *package, random.inputs, nullptr, Compile::kByHost);
+    if (!run) return "with a start: " + run.error().text();
+    ++started;
+    for (const char* what : {"the device at the start", "the device behind the start"}) {
+      if (const auto ran = run->run(); !ran) return fmt::format("{}: {}", what, ran.error().text());
+      if (const auto failure = compare(what, run->outputs(), expected)) return failure;
+      if (const auto made = run->finish(); !made) return "with a start: " + made.error().text();
+    }
+    return std::nullopt;
+  }
+
   Failure run(const char* what, const Compiled& compiled, const RandomGraph& random,
               const Expected& expected) {
     // What the runtime gets is what a file holds.
@@ -174,7 +198,8 @@ int run(const Arguments& arguments) {
              arguments.seed + arguments.count - 1, arguments.validated);
   RandomGraphCounts counts;
   std::map<std::string, uint64_t> kernels;
-  uint64_t failures = 0, fused = 0, changed_runs = 0, changed_parts = 0, elements = 0, anything = 0;
+  uint64_t failures = 0, fused = 0, started = 0, changed_runs = 0, changed_parts = 0, elements = 0,
+           anything = 0;
   std::unique_ptr<ToolDevice> device;
   for (uint64_t i = 0; i < arguments.count; ++i) {
     const bool validated = i < arguments.validated;
@@ -194,7 +219,8 @@ int run(const Arguments& arguments) {
     const std::vector<std::string> messages = device->take_validation_messages();
     if (!failure && !messages.empty()) failure = "validation: " + messages.front();
     changed_runs += checker.changed_runs, changed_parts += checker.changed_parts;
-    fused += checker.fused, elements += checker.elements, anything += checker.anything;
+    fused += checker.fused, started += checker.started, elements += checker.elements,
+        anything += checker.anything;
     for (const auto& [name, count] : checker.kernels) kernels[name] += count;
     if (!failure) continue;
     ++failures;
@@ -207,6 +233,11 @@ int run(const Arguments& arguments) {
       drawn, counts.kept, 100.0 * static_cast<double>(counts.illegal) / static_cast<double>(drawn),
       100.0 * static_cast<double>(counts.unpredictable) / static_cast<double>(drawn), fused);
   fmt::print("{} runs by tiles, {} of them of a part\n", changed_runs, changed_parts);
+  fmt::print("{} graphs with kernels of a start\n", started);
+  if (!arguments.real && arguments.count >= 500 && started == 0) {
+    fmt::print("FAILED: no graph has kernels of a start\n");
+    ++failures;
+  }
   for (const auto& [name, count] : kernels) fmt::print("{} dispatches of {}\n", count, name);
   if (arguments.real)
     fmt::print("{} elements bounded, {:.1f} % by nothing\n", elements,

@@ -387,6 +387,51 @@ TEST(Package, HasNetworksThatWorkByTiles) {
   EXPECT_NE(dump.find("grid 4x1x1, by the command at 16"), std::string::npos);
 }
 
+/// sample_package with a start form of the first network's first dispatch.
+Package start_package() {
+  Package p = sample_package();
+  Segment& segment = p.variants[0].segments[1];
+  StartForm start{0, segment.dispatches[0]};
+  start.form.kernel = "conv2d_s8_loop";
+  start.form.workgroups = {7, 1, 1};
+  segment.start_forms.push_back(start);
+  return p;
+}
+
+TEST(Package, KeepsStartForms) {
+  const Package package = start_package();
+  const Result<Package> read = read_package(write_package(package));
+  ASSERT_TRUE(read) << read.error().text();
+  EXPECT_EQ(*read, package);
+  EXPECT_NE(dump_package(package).find("start of \"conv1\": conv2d_s8_loop"), std::string::npos);
+}
+
+TEST(Package, RefusesStartFormsThatDoSomethingElse) {
+  const auto refused = [](const std::function<void(Segment&, Variant&)>& damage) {
+    Package package = start_package();
+    damage(package.variants[0].segments[1], package.variants[0]);
+    return refusal(write_package(package));
+  };
+  EXPECT_EQ(refused([](Segment&, Variant&) {}), "accepted");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.start_forms[0].dispatch = 2; }),
+            "variant 0, segment 1: start form 0: dispatch 2 does not exist, or is out of order");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.start_forms.push_back(s.start_forms[0]); }),
+            "variant 0, segment 1: start form 1: dispatch 0 does not exist, or is out of order");
+  EXPECT_EQ(
+      refused([](Segment& s, Variant&) { s.start_forms[0].form.name = "other"; }),
+      "variant 0, segment 1, start form of \"conv1\": has another name, or a grid of the device");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.start_forms[0].form.module = 99; }),
+            "variant 0, segment 1, start form of \"conv1\": module 99 does not exist, there are 2");
+  EXPECT_EQ(refused([](Segment& s, Variant&) {
+              std::erase_if(s.start_forms[0].form.bindings,
+                            [](const Binding& binding) { return binding.writes; });
+            }),
+            "variant 0, segment 1, start form of \"conv1\": reads or writes other tensors than the "
+            "dispatch");
+  EXPECT_EQ(refused([](Segment& s, Variant& v) { v.segments[0].start_forms = s.start_forms; }),
+            "variant 0, segment 0: has start forms, which only graph segments without tiles can");
+}
+
 TEST(Package, TellsHowMuchOfANetworkRan) {
   Package package = tiles_package();
   Segment& segment = package.variants[0].segments[1];

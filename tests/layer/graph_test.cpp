@@ -1,6 +1,7 @@
 // Graphs through the extensions: results, constants, strides, sessions, threads.
 #include <thread>
 
+#include "tests/compiler/conv_case.h"
 #include "tests/compiler/graph_support.h"
 #include "tests/layer/layer_fixture.h"
 
@@ -203,6 +204,23 @@ TEST_F(GraphLayerTest, DevicesAndInstancesDoNotMeet) {
   }
   client_close(&other);
   EXPECT_EQ(other.validation_messages, 0u);
+}
+
+TEST_F(GraphLayerTest, StartsOnKernelsThatAreThereSoonAndGoesOnTheSame) {
+  ConvCase row{.name = "heavy", .h = 24, .w = 24, .ic = 32, .oc = 32};
+  row.weight_min = -20, row.weight_max = 20;
+  const Graph graph = row.graph();
+  VkDataGraphPipelineCompilerControlCreateInfoARM control{};
+  control.sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_COMPILER_CONTROL_CREATE_INFO_ARM;
+  for (const char* vendor : {"expected-runs=1e9", "expected-runs=1e9,compile=at-once"}) {
+    control.pVendorOptions = vendor;
+    ClientRun run;
+    ASSERT_EQ(run.create(client, graph, {.next = &control}), VK_SUCCESS) << client.last_message;
+    for (const uint64_t frame : {1, 2, 3}) {
+      const std::vector<Tensor> inputs = random_inputs(graph, frame);
+      EXPECT_EQ(run.run(inputs), must(interpret(graph, inputs))) << vendor << ", frame " << frame;
+    }
+  }
 }
 
 }  // namespace

@@ -36,10 +36,15 @@ std::optional<double> runs_in(const char* text) {
   return parsed.ec == std::errc() && runs >= 1 ? std::optional(runs) : std::nullopt;
 }
 
+/// The options of one pipeline; null if there are none.
+const char* vendor_options(const VkDataGraphPipelineCreateInfoARM& info) {
+  const auto* control = find_in_chain<VkDataGraphPipelineCompilerControlCreateInfoARM>(
+      info.pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_COMPILER_CONTROL_CREATE_INFO_ARM);
+  return control ? control->pVendorOptions : nullptr;
+}
+
 double expected_runs(const VkDataGraphPipelineCreateInfoARM& info) {
-  if (const auto* control = find_in_chain<VkDataGraphPipelineCompilerControlCreateInfoARM>(
-          info.pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_COMPILER_CONTROL_CREATE_INFO_ARM))
-    if (const auto runs = runs_in(control->pVendorOptions)) return *runs;
+  if (const auto runs = runs_in(vendor_options(info))) return *runs;
   if (info.flags & VK_PIPELINE_CREATE_DISABLE_OPTIMIZATION_BIT) return kRunsOfOne;
   return runs_in(secure_getenv("SHALE_LAYER_OPTIONS")).value_or(kRunsOfNetwork);
 }
@@ -164,6 +169,14 @@ bool has_graphs(std::span<const uint32_t> words) {
     at += size;
   }
   return false;
+}
+
+Compile compile_when(const VkDataGraphPipelineCreateInfoARM& info) {
+  const char* environment = secure_getenv("SHALE_LAYER_OPTIONS");
+  for (const char* options : {vendor_options(info), environment})
+    if (options && std::string_view(options).find("compile=at-once") != std::string_view::npos)
+      return Compile::kAtOnce;
+  return Compile::kInBackground;
 }
 
 Result<GraphSource> read_source(Device& device, const VkDataGraphPipelineCreateInfoARM& info,

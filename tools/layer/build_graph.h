@@ -28,6 +28,9 @@ struct GraphSource {
 Result<GraphSource> read_source(Device& device, const VkDataGraphPipelineCreateInfoARM& info,
                                 const VkDataGraphPipelineShaderModuleCreateInfoARM& module);
 
+/// What the create info or the environment asks for: by default in the background.
+Compile compile_when(const VkDataGraphPipelineCreateInfoARM& info);
+
 /// Equal for what makes equal packages and layouts on the device with this layer.
 Identifier identify(const Device& device, const GraphSource& source);
 

@@ -131,10 +131,15 @@ class Creation {
 
   Result<std::unique_ptr<GraphPipeline>> from_package(const Package& package,
                                                       const Identifier& identifier) {
-    VkPipelineCache cache = cache_handle_;
+    const Compile compile = compile_when(info_);
+    // The application may destroy its cache, or use it, while pipelines are made in the background.
+    const bool is_late = compile != Compile::kAtOnce &&
+                         !package.variants.front().segments.front().start_forms.empty();
+    VkPipelineCache cache = is_late ? VK_NULL_HANDLE : cache_handle_;
     if (!cache && device_.disk_cache) cache = device_.disk_cache->pipelines();
-    SHALE_TRY(DataGraphPipeline pipeline,
-              DataGraphPipeline::create(*device_.context, package, {.cache = cache}));
+    SHALE_TRY(
+        DataGraphPipeline pipeline,
+        DataGraphPipeline::create(*device_.context, package, {.cache = cache, .compile = compile}));
     SHALE_TRY(std::vector<GraphTensor> tensors, graph_tensors(pipeline.variant()));
     return std::unique_ptr<GraphPipeline>(
         new GraphPipeline{std::move(pipeline), std::move(tensors), identifier, {}});

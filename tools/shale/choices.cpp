@@ -42,16 +42,16 @@ void BudgetArguments::add_to(CLI::App& app, std::initializer_list<CLI::Option*> 
 
 Result<Choices> Choices::create(const BudgetArguments& arguments, const ToolDevice& device,
                                 const std::string& path, const Sandwich& first,
-                                const CompileArguments& compile) {
+                                const CompileArguments& compile, Compile kernels) {
   Choices choices(arguments);
-  SHALE_TRY_VOID(choices.add(device, path, first));
+  SHALE_TRY_VOID(choices.add(device, path, first, kernels));
   const Player& best = *choices.players_[0];
   for (const std::string& own : arguments.others) {
     CompileArguments sized = compile;
     sized.ratio = 0;
     SHALE_TRY(const Sandwich other,
               load_sandwich(own, sized, best.render_size(), best.output_size()));
-    SHALE_TRY_VOID(choices.add(device, own, other));
+    SHALE_TRY_VOID(choices.add(device, own, other, kernels));
     const Player& player = *choices.players_.back();
     if (player.render_size() != best.render_size() || player.output_size() != best.output_size() ||
         player.is_display() != best.is_display())
@@ -114,8 +114,8 @@ Json Choices::summary() const {
 }
 
 Result<void> Choices::add(const ToolDevice& device, const std::string& path,
-                          const Sandwich& sandwich) {
-  SHALE_TRY(players_.emplace_back(), Player::create(device, sandwich.package));
+                          const Sandwich& sandwich, Compile kernels) {
+  SHALE_TRY(players_.emplace_back(), Player::create(device, sandwich.package, kernels));
   paths_.push_back(path);
   return {};
 }

@@ -27,9 +27,10 @@ class Choices {
  public:
   /// Errors: as load_sandwich and Player::create; kBadInput for a sandwich of other sizes or colours, and for a load
   /// that cannot be understood.
+  /// `kernels` is for Player::create.
   static Result<Choices> create(const BudgetArguments& arguments, const ToolDevice& device,
                                 const std::string& path, const Sandwich& first,
-                                const CompileArguments& compile);
+                                const CompileArguments& compile, Compile kernels);
 
   /// What each costs, by a frame that leaves no trace.
   /// Errors: kBadInput if one costs more than the one before it; kDevice.
@@ -44,7 +45,8 @@ class Choices {
 
  private:
   explicit Choices(const BudgetArguments& arguments) : arguments_(arguments) {}
-  Result<void> add(const ToolDevice& device, const std::string& path, const Sandwich& sandwich);
+  Result<void> add(const ToolDevice& device, const std::string& path, const Sandwich& sandwich,
+                   Compile kernels);
   Result<void> read_load();
 
   BudgetArguments arguments_;

@@ -3,6 +3,7 @@
 #include <charconv>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <set>
 
 #include "compiler/target/caps_json.h"
@@ -234,6 +235,12 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
                  "the passes of a frame)")
       ->check(CLI::Range(1.0, 1e12))
       ->default_str("");
+  app.add_option("--prefer", prefer,
+                 "start: kernels that the driver compiles at once; throughput: fast ones, for "
+                 "which the first "
+                 "run waits; balanced: both, the first until the driver has compiled the others")
+      ->check(CLI::IsMember({"start", "throughput", "balanced"}))
+      ->capture_default_str();
   app.add_option("--tiles", tiles,
                  "run of networks only what changed inputs reach; codes by which int8 inputs may "
                  "differ from what was last made of them, 0 is exact (default: all in every run)")
@@ -297,6 +304,8 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   SHALE_TRY_VOID(add_targets(options));
   options.kernels = kernels;
   options.expected_runs = expected_runs;
+  if (prefer == "start") options.expected_runs = kRunsOfOne;
+  if (prefer != "balanced") options.start_us = std::numeric_limits<double>::infinity();
   options.tiles = tiles;
   for (const std::string& kernel : kernels)
     if (!find_kernel(kernel)) return bad_input("--kernels", "\"{}\" is no kernel family", kernel);
@@ -377,6 +386,8 @@ std::vector<std::string> selection_lines(const Compiled& compiled) {
     if (selection.driver_us > 0)
       text += fmt::format("; the driver compiles for about {:.{}f} s at the first start",
                           1e-6 * selection.driver_us, selection.driver_us < 1e7 ? 1 : 0);
+    if (selection.start_us < selection.driver_us)
+      text += fmt::format(", {:.1f} s of it before the first result", 1e-6 * selection.start_us);
     lines.push_back(std::move(text));
   }
   return lines;

@@ -89,6 +89,7 @@ struct CompileArguments {
   std::string default_target = "lavapipe";  ///< without a device at hand
   std::vector<std::string> kernels;
   std::string frame, render, output, choices, constants, needs, precision = "int8";
+  std::string prefer = "balanced";
   double ratio = 0;
   std::optional<double> expected_runs;
   std::optional<uint32_t> tiles;

@@ -1,7 +1,6 @@
 #include "tools/shale/device_run.h"
 
 #include <algorithm>
-#include <atomic>
 #include <chrono>
 #include <cstdlib>
 #include <filesystem>
@@ -10,8 +9,6 @@
 
 #include "compiler/passes/pass.h"
 #include "ir/base/file.h"
-#include "ir/base/parallel.h"
-#include "runtime/datagraph/dispatch.h"
 #include "runtime/datagraph/pipeline.h"
 #include "runtime/datagraph/session.h"
 #include "runtime/vk/commands.h"
@@ -104,14 +101,20 @@ std::vector<const Resource*> tensors_of(const Variant& variant, Category categor
   return result;
 }
 
-std::string driver_compiles(const Variant& variant) {
+std::string driver_compiles(const Variant& variant, Compile compile) {
+  std::set<uint32_t> late;
+  for (const Segment& segment : variant.segments)
+    for (const StartForm& start : segment.start_forms)
+      late.insert(compile == Compile::kAtOnce ? start.form.module
+                                              : segment.dispatches[start.dispatch].module);
+  const size_t count = variant.modules.size() - late.size();
   size_t words = 0;
-  for (const std::vector<uint32_t>& module : variant.modules) words += module.size();
-  return fmt::format("the driver compiles {} shader{} ({} kB){}", variant.modules.size(),
-                     variant.modules.size() == 1 ? "" : "s", words * 4 / 1000,
-                     words > kLongCompileWords
-                         ? ", which may take a minute where its cache has not got them"
-                         : "");
+  for (uint32_t i = 0; i < variant.modules.size(); ++i)
+    if (!late.contains(i)) words += variant.modules[i].size();
+  return fmt::format(
+      "the driver compiles {} shader{} ({} kB){}", count, count == 1 ? "" : "s", words * 4 / 1000,
+      words > kLongCompileWords ? ", which may take a minute where its cache has not got them"
+                                : "");
 }
 
 std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames) {
@@ -136,78 +139,7 @@ double since_ms(Clock::time_point begin) {
   return std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
 }
 
-/// A dispatch of one of the variant's networks as a package of its own.
-Package alone(const Package& package, const Variant& variant, const Segment& segment,
-              const Dispatch& dispatch) {
-  Package one{package.provenance, {variant}, package.weights};
-  Variant& only = one.variants.front();
-  only.modules = {variant.modules[dispatch.module]};
-  only.segments = {{segment.name, segment.kind, {dispatch}, 0, segment.tiles}};
-  Dispatch& own = only.segments.front().dispatches.front();
-  own.module = 0;
-  // No other dispatch writes the command: the first cell, which a list of zeros names.
-  if (own.command_bytes) own.command_bytes.reset(), own.workgroups = {1, 1, 1};
-  only.programs.resize(1);
-  return one;
-}
-
-/// Longer than the first run of one dispatch whose code the driver has, next to a second run.
-constexpr double kCompiledMs = 30;
-
 }  // namespace
-
-void compile_ahead(const ToolDevice& device, const Package& package) {
-  const DeviceCaps& caps = device.context().caps;
-  const char* off = std::getenv("MESA_SHADER_CACHE_DISABLE");
-  if (!caps.cpu || std::thread::hardware_concurrency() < 2 || (off && *off)) return;
-  const Result<uint32_t> index = choose_variant(package, caps);
-  if (!index) return;
-  const Variant& variant = package.variants[*index];
-  struct Unit {
-    const Segment* segment;
-    const Dispatch* dispatch;
-  };
-  std::vector<Unit> units;
-  std::set<uint32_t> modules;
-  size_t words = 0;
-  for (const Segment& segment : variant.segments)
-    for (const Dispatch& dispatch : segment.dispatches)
-      if (segment.kind == SegmentKind::kGraph && modules.insert(dispatch.module).second) {
-        units.push_back({&segment, &dispatch});
-        words += variant.modules[dispatch.module].size();
-      }
-  if (words < kLongCompileWords) return;
-  const auto size = [&](const Unit& unit) { return variant.modules[unit.dispatch->module].size(); };
-  std::sort(units.begin(), units.end(),
-            [&](const Unit& a, const Unit& b) { return size(a) > size(b); });
-  // The first to be run tells whether the driver has the code: one of middle size, soon compiled.
-  std::rotate(units.begin(), units.begin() + static_cast<std::ptrdiff_t>(units.size() / 2),
-              units.begin() + static_cast<std::ptrdiff_t>(units.size() / 2) + 1);
-
-  DeviceArguments own_device;
-  own_device.name = caps.name;
-  /// False if that failed or the driver had the code.
-  const auto compile = [&](const ToolDevice& own, const Unit& unit) {
-    Result<NetworkRun> run = NetworkRun::prepare(
-        own.context(), alone(package, variant, *unit.segment, *unit.dispatch), VK_NULL_HANDLE, "");
-    if (!run) return false;
-    const Clock::time_point first = Clock::now();
-    if (!run->run()) return false;
-    const double first_ms = since_ms(first);
-    const Clock::time_point second = Clock::now();
-    return run->run() && first_ms - since_ms(second) > kCompiledMs;
-  };
-  {
-    const Result<ToolDevice> own = ToolDevice::open(own_device);
-    if (!own || !compile(*own, units.front())) return;
-  }
-  std::atomic<size_t> next = 1;
-  parallel_for(std::thread::hardware_concurrency(), [&](size_t) {
-    const Result<ToolDevice> own = ToolDevice::open(own_device);
-    for (size_t i = next++; own && i < units.size() && !interrupted(); i = next++)
-      compile(*own, units[i]);
-  });
-}
 
 /// In the order of construction: a session needs its pipeline.
 struct NetworkRun::State {
@@ -238,20 +170,21 @@ struct NetworkRun::State {
 };
 
 Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& package,
-                                      StartTimes* start) {
+                                      StartTimes* start, Compile compile) {
   const Clock::time_point begin = Clock::now();
-  const std::string compiles = driver_compiles(package.variants.front());
+  const std::string compiles = driver_compiles(package.variants.front(), compile);
   Progress progress(compiles);
-  compile_ahead(device, package);
   SHALE_TRY(NetworkRun run,
-            prepare(device.context(), package, device.cache(), "first run, " + compiles));
+            prepare(device.context(), package, device.cache(), "first run, " + compiles, compile));
   if (start) start->create_ms = since_ms(begin);
   return run;
 }
 
 Result<NetworkRun> NetworkRun::prepare(const vk::Context& context, const Package& package,
-                                       VkPipelineCache cache, std::string compiles) {
-  DataGraphPipelineOptions options{.cache = cache};
+                                       VkPipelineCache cache, std::string compiles,
+                                       Compile compile) {
+  DataGraphPipelineOptions options{
+      .cache = cache, .compile = compile, .threads = std::thread::hardware_concurrency()};
   const Variant& first = package.variants.front();
   // Networks that a parameter chooses among differ in their weights alone.
   if (!first.chosen_by.empty())
@@ -288,11 +221,14 @@ Result<NetworkRun> NetworkRun::prepare(const vk::Context& context, const Package
 }
 
 Result<NetworkRun> NetworkRun::create(const ToolDevice& device, const Package& package,
-                                      const std::vector<Tensor>& inputs, StartTimes* start) {
-  SHALE_TRY(NetworkRun run, create(device, package, start));
+                                      const std::vector<Tensor>& inputs, StartTimes* start,
+                                      Compile compile) {
+  SHALE_TRY(NetworkRun run, create(device, package, start, compile));
   SHALE_TRY_VOID(run.set_inputs(inputs));
   return run;
 }
+
+Result<void> NetworkRun::finish() { return state_->pipeline.finish(); }
 
 const Variant& NetworkRun::variant() const { return state_->pipeline.variant(); }
 

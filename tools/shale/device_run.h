@@ -11,6 +11,7 @@
 #include "ir/graph/tensor.h"
 #include "ir/package/package.h"
 #include "ir/reference/bounds.h"
+#include "runtime/datagraph/pipeline.h"
 #include "runtime/profile/profile.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/instance.h"
@@ -63,14 +64,9 @@ class ToolDevice {
 struct StartTimes {
   double create_ms = 0;  ///< pipelines, weights, session
   double first_ms = 0;   ///< first run, in which drivers may go on compiling
+  double full_ms =
+      0;  ///< from the beginning until a run by all the fast kernels has ended; 0 is not measured
 };
-
-/// Has a driver on the CPU compile a package's networks on all cores. lavapipe compiles a shader at its first
-/// dispatch, on the one thread of a device's queue, and keeps the code in a cache on disk; so devices of our
-/// own run the dispatches one by one, side by side, and `device` finds them in that cache. Does nothing
-/// for other drivers, one core, short code, without the driver's cache or if the first dispatch shows that
-/// it has the code. A help, not a result: what fails here fails again where it counts.
-void compile_ahead(const ToolDevice& device, const Package& package);
 
 /// A package's graph with inputs of its own, ready to be run again and again.
 class NetworkRun {
@@ -78,11 +74,14 @@ class NetworkRun {
   /// `device` must outlive the run. With `start`, how long it took to get here.
   /// Errors: kBadInput if the package is broken, kDevice.
   static Result<NetworkRun> create(const ToolDevice& device, const Package& package,
-                                   StartTimes* start = nullptr);
+                                   StartTimes* start = nullptr, Compile compile = Compile::kAtOnce);
   /// With inputs, in the order of the graph.
   /// Errors: also kBadInput if inputs do not match the package.
   static Result<NetworkRun> create(const ToolDevice& device, const Package& package,
-                                   const std::vector<Tensor>& inputs, StartTimes* start = nullptr);
+                                   const std::vector<Tensor>& inputs, StartTimes* start = nullptr,
+                                   Compile compile = Compile::kAtOnce);
+  /// DataGraphPipeline::finish().
+  Result<void> finish();
   /// The variant that the device takes.
   const Variant& variant() const;
   /// Other inputs, for the runs to come. Errors: kBadInput if they do not match the package.
@@ -105,12 +104,11 @@ class NetworkRun {
   std::vector<Tensor> outputs() const;
 
  private:
-  friend void compile_ahead(const ToolDevice& device, const Package& package);
   struct State;
   explicit NetworkRun(std::shared_ptr<State> state) : state_(std::move(state)) {}
   /// Without a word on the terminal, except `compiles` for the first run.
   static Result<NetworkRun> prepare(const vk::Context& context, const Package& package,
-                                    VkPipelineCache cache, std::string compiles);
+                                    VkPipelineCache cache, std::string compiles, Compile compile);
   std::shared_ptr<State> state_;
 };
 
@@ -130,8 +128,8 @@ Result<std::vector<Tensor>> run_network(const ToolDevice& device, const Package&
                                         StartTimes* start = nullptr);
 
 /// What a Progress says while a driver compiles the kernels of a variant, at creation or at their first
-/// dispatch: how many, and how long that may take.
-std::string driver_compiles(const Variant& variant);
+/// dispatch: how many before the first result, and how long that may take.
+std::string driver_compiles(const Variant& variant, Compile compile);
 
 /// Element-wise median over several measured frames; all have the same dispatches.
 std::vector<DispatchTime> median_times(const std::vector<std::vector<DispatchTime>>& frames);

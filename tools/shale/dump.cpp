@@ -94,7 +94,7 @@ Dump package_dump(const Package& package) {
     Json entry{{"target", variant.target},
                {"arena_bytes", variant.arena_bytes},
                {"modules", variant.modules.size()}};
-    for (const Segment& segment : variant.segments)
+    for (const Segment& segment : variant.segments) {
       for (const Dispatch& dispatch : segment.dispatches)
         entry["dispatches"].push_back(
             {{"segment", segment.name},
@@ -105,6 +105,13 @@ Dump package_dump(const Package& package) {
              {"command_bytes", dispatch.command_bytes ? Json(*dispatch.command_bytes) : Json()},
              {"macs", dispatch.cost.macs},
              {"time_us", dispatch.cost.time_us}});
+      for (const auto& [index, form] : segment.start_forms)
+        entry["start_forms"].push_back({{"name", form.name},
+                                        {"kernel", form.kernel},
+                                        {"module", form.module},
+                                        {"workgroups", form.workgroups},
+                                        {"time_us", form.cost.time_us}});
+    }
     for (const RangeProof& proof : variant.proofs)
       entry["range_proofs"].push_back({{"name", proof.name},
                                        {"min", proof.min},

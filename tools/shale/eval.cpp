@@ -53,7 +53,9 @@ class Methods {
                          sizes.second.height, render.width, render.height, output.width,
                          output.height);
       PlayedMethod method{sandwich.name, nullptr};
-      SHALE_TRY(method.player, Player::create(device_, sandwich.package));
+      SHALE_TRY(method.player,
+                Player::create(device_, sandwich.package,
+                               arguments_.no_time ? Compile::kInBackground : Compile::kAtOnce));
       methods_.push_back(std::move(method));
     }
     render_ = render;

@@ -319,7 +319,10 @@ Result<int> play(const Arguments& arguments) {
   int exit = kDone;
   {
     SHALE_TRY(Choices choices,
-              Choices::create(arguments.budget, device, arguments.model, sandwich, compile));
+              Choices::create(arguments.budget, device, arguments.model, sandwich, compile,
+                              arguments.profile || arguments.budget.budget_ms > 0
+                                  ? Compile::kAtOnce
+                                  : Compile::kInBackground));
     Player* player = &choices.next();
     const bool to_exr = writes_exr(arguments);
     if (to_exr && player->is_display())

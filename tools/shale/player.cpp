@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 #include <filesystem>
+#include <thread>
 
 #include "compiler/frontend/frontend.h"
 #include "ir/base/file.h"
@@ -209,13 +210,16 @@ bool has_network(const Variant& variant, uint32_t program) {
                      [](const Segment& segment) { return segment.kind == SegmentKind::kGraph; });
 }
 
-Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package) {
+Result<std::unique_ptr<Player>> Player::create(const ToolDevice& device, const Package& package,
+                                               Compile compile) {
   const vk::Context& context = device.context();
-  const std::string compiles = driver_compiles(package.variants.front());
+  const std::string compiles = driver_compiles(package.variants.front(), compile);
   Progress progress(compiles);
-  compile_ahead(device, package);
-  SHALE_TRY(FrameLoop loop,
-            FrameLoop::create(context, package, {.frames_in_flight = 1, .cache = device.cache()}));
+  SHALE_TRY(FrameLoop loop, FrameLoop::create(context, package,
+                                              {.frames_in_flight = 1,
+                                               .cache = device.cache(),
+                                               .compile = compile,
+                                               .threads = std::thread::hardware_concurrency()}));
   // The device may take another variant than the first.
   SHALE_TRY_VOID(sandwich_sizes(loop.variant()));
   auto player =

@@ -51,7 +51,8 @@ class Player {
   /// output; color and output may be rgba8_unorm, which holds pictures as a display shows them, or a
   /// float format, which holds linear HDR.
   /// Errors: kBadInput without a sandwich, kUnsupported for other images, kDevice.
-  static Result<std::unique_ptr<Player>> create(const ToolDevice& device, const Package& package);
+  static Result<std::unique_ptr<Player>> create(const ToolDevice& device, const Package& package,
+                                                Compile compile = Compile::kAtOnce);
 
   Extent render_size() const { return extent_of("color"); }
   Extent output_size() const { return extent_of("output"); }
@@ -64,6 +65,8 @@ class Player {
   /// Whether the last frame kept the package's promise, so that the passes of kept promises made it, or took the full
   /// ones; nothing without a promise.
   std::optional<bool> kept_promise() const { return kept_promise_; }
+  /// FrameLoop::kernels_left.
+  size_t kernels_left() const { return loop_.kernels_left(); }
   /// FrameLoop::share_run of the last frame.
   std::optional<double> share_run() const { return loop_.share_run(); }
 

@@ -47,10 +47,15 @@ class Converter {
       return unsupported("",
                          "has passes that the device chooses between, which VGF does not have; "
                          "compile without needs");
-    for (const Segment& segment : variant_.segments)
+    for (const Segment& segment : variant_.segments) {
       if (segment.tiles)
         return unsupported(fmt::format("segment \"{}\"", segment.name),
                            "works by tiles, by commands of the device that VGF does not have");
+      if (!segment.start_forms.empty())
+        return unsupported(fmt::format("segment \"{}\"", segment.name),
+                           "has kernels for the start, of which VGF has none; compile with "
+                           "--prefer throughput");
+    }
     for (const Param& param : variant_.params)
       if (param.source != ParamSource::kHost)
         return unsupported(fmt::format("parameter \"{}\"", param.name),
