@@ -146,7 +146,7 @@ Package alone(const Package& package, const Variant& variant, const Segment& seg
   Dispatch& own = only.segments.front().dispatches.front();
   own.module = 0;
   // No other dispatch writes the command: the first cell, which a list of zeros names.
-  if (own.command_bytes) own.command_bytes.reset(), own.workgroups = {1, 1, 1};
+  if (own.indirect) own.indirect.reset(), own.workgroups = {1, 1, 1};
   only.programs.resize(1);
   return one;
 }
@@ -337,7 +337,11 @@ Result<NetworkRun::ChangesRun> NetworkRun::run_changes() {
   const std::span<const uint32_t> words(
       reinterpret_cast<const uint32_t*>(state_->command_copy.mapped().data()),
       commands.size_bytes / sizeof(uint32_t));
-  return ChangesRun{times.front(), share_run(state_->pipeline.graph(), words)};
+  const Segment& graph = state_->pipeline.graph();
+  std::vector<uint32_t> ran;
+  for (const IndirectGrid& grid : indirect_grids({&graph, 1}))
+    ran.insert(ran.end(), words.begin() + grid.first, words.begin() + grid.first + 3);
+  return ChangesRun{times.front(), share_run({&graph, 1}, ran)};
 }
 
 Result<std::vector<DispatchTime>> NetworkRun::measure() {
