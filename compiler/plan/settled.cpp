@@ -337,8 +337,7 @@ class Settling {
       rest.pass.defines.emplace_back("EXPOSURE", "params." + settles.exposure);
       rest.glsl.insert(rest.glsl.find("#include \"settled"), "SHALE_PARAMS;\n");
     }
-    const double limit = *options_.tiles;
-    rest.pass.defines.emplace_back("LIMIT", fmt::format("{:.9e}", limit * limit));
+    rest.pass.defines.emplace_back("LIMIT", fmt::format("{}.0", *options_.tiles));
     rest.is_rare = true;  // while things settle
     all.push_back(std::move(rest));
   }

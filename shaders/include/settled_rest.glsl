@@ -1,5 +1,5 @@
-// Finds out where what is shown came to rest: where a tile changed by no more than LIMIT since the frame before, the mean
-// square of display codes. An invocation takes a tile that repeats what it was and was made anew; of what was not made, what is
+// Finds out where what is shown came to rest: where the mean of a tile changed by no more than LIMIT display codes since the
+// frame before. Single pixels go on changing with the jitter; what brightens or darkens does not rest. An invocation takes a tile that repeats what it was and was made anew; of what was not made, what is
 // known still holds. The image is `shown`, and `past` in the frame before.
 #include "color.glsl"
 
@@ -31,19 +31,16 @@ void main() {
   ivec2 first = ivec2(column, row) * ivec2(TILE_WIDTH, TILE_HEIGHT);
   ivec2 begin = first * size / render, end = min(first + ivec2(TILE_WIDTH, TILE_HEIGHT), render) * size / render;
   if (!repeats || !is_made) end.y = begin.y;
-  float sum = 0.0;
+  vec3 sum = vec3(0.0);
   for (int y = begin.y; y < end.y; ++y)
     for (int x = begin.x / 2; 2 * x < end.x; ++x) {
       HALF4 now[2], before[2];
       fetch2_shown(ivec2(x, y), now);
       fetch2_past(ivec2(x, y), before);
-      for (int i = 0; i < 2; ++i) {
-        vec3 moved = 2 * x + i < end.x ? codes(now[i]) - codes(before[i]) : vec3(0.0);
-        sum += dot(moved, moved);
-      }
+      for (int i = 0; i < 2; ++i) sum += 2 * x + i < end.x ? codes(now[i]) - codes(before[i]) : vec3(0.0);
     }
   ivec2 extent = end - begin;
-  bool rests = sum <= LIMIT * float(3 * extent.x * extent.y);
+  bool rests = all(lessThanEqual(abs(sum), vec3(LIMIT * float(extent.x * extent.y))));
   if (!repeats)
     kept.d[RESTS + tile] = 0u;
   else if (is_made)
