@@ -3,7 +3,7 @@
 #   format      clang-format 14 over all C++ files
 #   tidy        clang-tidy 14 over the product's sources, by .clang-tidy; FILES="a.cpp b.cpp" limits it
 #   sanitize    all tests with AddressSanitizer and UndefinedBehaviorSanitizer (tools/setup: `debug` preset)
-#   threads     the tests of compiler and runtime, and the host program in C, with ThreadSanitizer
+#   threads     the tests of compiler, runtime and layer, and the host program in C, with ThreadSanitizer
 #   no-vulkan   the compiler and its tests in a build without the Vulkan runtime
 # Without arguments: all of them. A check that finds something makes the script fail, the others run all the same.
 set -eu
@@ -47,7 +47,7 @@ check_sanitize() {
 check_threads() {
   check_build build-threads "-O1 -fsanitize=thread -fno-omit-frame-pointer"
   targets="host_program $(ninja -C build-threads -t targets all |
-    sed -n 's/^tests\/\(runtime\|compiler\)\/\([a-z_0-9]*_test\): CXX_EXECUTABLE.*/\2/p')"
+    sed -n 's/^tests\/\(runtime\|compiler\|layer\)\/\([a-z_0-9]*_test\): CXX_EXECUTABLE.*/\2/p')"
   # shellcheck disable=SC2086
   cmake --build build-threads --target $targets
   TSAN_OPTIONS="suppressions=$PWD/tests/support/tsan.supp second_deadlock_stack=1" \

@@ -202,10 +202,11 @@ bool conv2d_real_supports(const GroupProblem& problem, const DeviceProfile& prof
   if (!profile.literal_weights || !problem.group.head) return false;
   const Graph& graph = *problem.graph;
   const Node& node = graph.node(*problem.group.head);
-  const Value& weight = graph.value(node.inputs[1]);
   if (node.op != Op::kConv2d || !is_float(graph.value(node.inputs[0]).type.dtype) ||
-      !weight.is_constant() || op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView)
+      op_kind(graph.node(problem.group.nodes.back())) == OpKind::kView)
     return false;
+  const Value& weight = graph.value(node.inputs[1]);
+  if (!weight.is_constant()) return false;
   // What is multiplied with the zeros around a picture has to be finite.
   for (int64_t i = 0; i < weight.constant->count(); ++i)
     if (!std::isfinite(bits_real(weight.type.dtype, weight.constant->get(i)))) return false;

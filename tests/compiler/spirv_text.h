@@ -66,6 +66,7 @@ inline const std::map<std::string, SpirvSyntax>& spirv_syntax() {
       {"OpFunction", {54, true, true, "ni"}},
       {"OpFunctionEnd", {56, false, false, ""}},
       {"OpLoad", {61, true, true, "i"}},
+      {"OpStore", {62, false, false, "ii"}},
       {"OpAccessChain", {65, true, true, "*i"}},
       {"OpCompositeConstruct", {80, true, true, "*i"}},
       {"OpUConvert", {113, true, true, "i"}},

@@ -66,6 +66,13 @@ compile_models() {
   done
 }
 
+# A client on the layer, with validation that knows both extensions above it.
+layer() {
+  VK_LAYER_PATH=/shale/layer:/usr/share/vulkan/explicit_layer.d SHALE_LAYER_CACHE=off SHALE_VALIDATED=1 \
+    VK_INSTANCE_LAYERS=VK_LAYER_KHRONOS_validation:VK_LAYER_SHALE_data_graph VK_LAYER_VALIDATE_SYNC=1 \
+    LD_LIBRARY_PATH=/shale/lib SHALE_SOURCES=/shale "$@"
+}
+
 : > refused.txt
 vulkaninfo --summary 2> /dev/null | sed -n 's/^[[:space:]]*\(deviceName\|driverInfo\) *= /\1: /p'
 spirv-val --version | head -n 1
@@ -73,6 +80,7 @@ check doctor shale doctor --json
 check conform shale conform /shale/tests/golden/tosa --backend device --validation
 check conform_without_passes shale conform /shale/tests/golden/tosa --backend device --validation --no-passes --no-spirv-opt
 check matrices really coopmat_test --gtest_filter='*OwnMatrices*'
+for program in /shale/layer/bin/*; do check "layer_$(basename "$program")" layer "$program"; done
 for test in coopmat_test kernels_test gpu_target_test sandwich_test; do check "$test" /shale/run "$test"; done
 check compile_models compile_models
 check compile_cases compile_cases

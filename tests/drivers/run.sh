@@ -33,13 +33,20 @@ if [ ! -e "$folder/complete" ]; then
 fi
 
 cmake -S "$source" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release > "$folder/build.log"
-cmake --build "$build" --target shale kernels_test coopmat_test gpu_target_test sandwich_test >> "$folder/build.log" ||
+layer_tests='alias golden graph lent pipeline recording shader switches tensor vgf'
+cmake --build "$build" --target shale kernels_test coopmat_test gpu_target_test sandwich_test VkLayer_SHALE_data_graph \
+  $(printf 'layer_%s_test ' $layer_tests) >> "$folder/build.log" ||
   { tail -n 20 "$folder/build.log"; fail "the build failed, see $folder/build.log"; }
 [ -d "$golden" ] || fail "$golden is not there: name the folder of the TOSA cases"
 rm -rf "$root/shale" "$root/results"
 mkdir "$root/results"
 SHALE_BUILD=$build "$source/tools/setup/bundle.sh" "$root/shale" "$golden"
 for test in gpu_target_test sandwich_test; do strip -o "$root/shale/bin/$test" "$build/tests/e2e/$test"; done
+build=$(cd "$build" && pwd)
+mkdir -p "$root/shale/layer/bin" "$root$build"
+cp "$build"/tools/layer/VkLayer_SHALE_data_graph.* "$root/shale/layer"
+for test in $layer_tests; do strip -o "$root/shale/layer/bin/$test" "$build/tests/layer/layer_${test}_test"; done
+ln -sfn /shale/tests/golden "$root$build/golden"
 cp "$source/tests/drivers/inside.sh" "$root/shale/inside.sh"
 
 mounted=

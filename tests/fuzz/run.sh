@@ -1,6 +1,6 @@
 #!/bin/sh
 # run.sh BUILD_FOLDER SECONDS [TARGET...]: fuzz targets for that long each, from seeds made of the models at hand.
-# By default all but layer_fuzz, which makes pipelines of its seeds for six minutes before it begins.
+# By default all but layer_fuzz, which makes pipelines of its seeds for minutes before it begins.
 set -eu
 build=$1
 seconds=$2
@@ -17,7 +17,7 @@ cp "$here"/tests/golden/vgf/*.vgf "$corpus/vgf_fuzz"
 cp -r "$corpus/spirv_graph_fuzz" "$corpus/layer_fuzz"
 for target in "$@"; do
   # A finding lands in the current folder.
-  if ! "$build/tests/fuzz/$target" "$corpus/$target" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 \
+  if ! "$build/tests/fuzz/$target" "$corpus/$target" -max_total_time="$seconds" -timeout=60 -rss_limit_mb=2048 \
     -print_final_stats=1 -verbosity=0 >"$corpus/log" 2>&1; then
     cat "$corpus/log"
     exit 1

@@ -87,24 +87,38 @@ static VkResult open_device(Client* client, void* next) {
       .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM, .pNext = next};
   VkPhysicalDeviceTensorFeaturesARM tensors = {
       .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM, .pNext = &graphs};
+  /* What modules of graphs and shaders of tensors declare. */
+  VkPhysicalDeviceMaintenance5FeaturesKHR maintenance5 = {
+      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_5_FEATURES_KHR, .pNext = &tensors};
+  VkPhysicalDeviceVulkanMemoryModelFeatures model = {
+      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_MEMORY_MODEL_FEATURES,
+      .pNext = &maintenance5};
+  VkPhysicalDeviceShaderFloat16Int8Features types = {
+      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_FLOAT16_INT8_FEATURES, .pNext = &model};
   VkPhysicalDeviceVulkan13Features v13 = {
-      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, .pNext = &tensors};
+      .sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES,
+      .pNext = next ? (void*)&model : (void*)&types};
   VkPhysicalDeviceFeatures2 all = {.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2,
                                    .pNext = &v13};
   vkGetPhysicalDeviceFeatures2(client->physical, &all);
   if (!tensors.tensors || !graphs.dataGraph || !graphs.dataGraphShaderModule)
     return VK_ERROR_FEATURE_NOT_PRESENT;
-  memset(&all.features, 0, sizeof all.features);
-  const char* names[] = {VK_ARM_TENSORS_EXTENSION_NAME, VK_ARM_DATA_GRAPH_EXTENSION_NAME,
-                         VK_KHR_PUSH_DESCRIPTOR_EXTENSION_NAME};
-  const VkDeviceCreateInfo info = {
-      .sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO,
-      .pNext = &all,
-      .queueCreateInfoCount = 1,
-      .pQueueCreateInfos = &queue,
-      .enabledExtensionCount =
-          has_extension(client->physical, VK_KHR_PUSH_DESCRIPTOR_EXTENSION_NAME) ? 3 : 2,
-      .ppEnabledExtensionNames = names};
+  all.features = (VkPhysicalDeviceFeatures){.shaderInt16 = all.features.shaderInt16,
+                                            .shaderInt64 = all.features.shaderInt64};
+  const char* names[8] = {VK_ARM_TENSORS_EXTENSION_NAME, VK_ARM_DATA_GRAPH_EXTENSION_NAME};
+  uint32_t name_count = 2;
+  /* VK_ARM_data_graph depends on the last two. */
+  const char* wanted[] = {VK_KHR_PUSH_DESCRIPTOR_EXTENSION_NAME,
+                          VK_KHR_MAINTENANCE_5_EXTENSION_NAME,
+                          VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME};
+  for (size_t i = 0; i < sizeof wanted / sizeof *wanted; ++i)
+    if (has_extension(client->physical, wanted[i])) names[name_count++] = wanted[i];
+  const VkDeviceCreateInfo info = {.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO,
+                                   .pNext = &all,
+                                   .queueCreateInfoCount = 1,
+                                   .pQueueCreateInfos = &queue,
+                                   .enabledExtensionCount = name_count,
+                                   .ppEnabledExtensionNames = names};
   return vkCreateDevice(client->physical, &info, NULL, &client->device);
 }
 
@@ -215,15 +229,17 @@ void client_destroy_tensor(const Client* client, ClientTensor* tensor) {
   vkFreeMemory(client->device, tensor->memory, NULL);
 }
 
-static void create_layouts(const Client* client, uint32_t tensors, ClientGraph* graph) {
+static void create_layouts(const Client* client, const ClientGraphInfo* info, ClientGraph* graph) {
+  const uint32_t tensors = info->tensor_count;
   VkDescriptorSetLayoutBinding* bindings = calloc(tensors + 1, sizeof *bindings);
   for (uint32_t i = 0; i < tensors; ++i)
-    bindings[i] = (VkDescriptorSetLayoutBinding){.binding = i,
+    bindings[i] = (VkDescriptorSetLayoutBinding){.binding = info->bindings ? info->bindings[i] : i,
                                                  .descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM,
                                                  .descriptorCount = 1,
                                                  .stageFlags = VK_SHADER_STAGE_ALL};
   const VkDescriptorSetLayoutCreateInfo set = {
       .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO,
+      .flags = info->set_flags,
       .bindingCount = tensors,
       .pBindings = bindings};
   MUST(vkCreateDescriptorSetLayout(client->device, &set, NULL, &graph->set_layout));
@@ -232,6 +248,7 @@ static void create_layouts(const Client* client, uint32_t tensors, ClientGraph* 
                                              .setLayoutCount = 1,
                                              .pSetLayouts = &graph->set_layout};
   MUST(vkCreatePipelineLayout(client->device, &layout, NULL, &graph->layout));
+  if (info->set_flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR) return;
   const VkDescriptorPoolSize size = {VK_DESCRIPTOR_TYPE_TENSOR_ARM, tensors};
   const VkDescriptorPoolCreateInfo pool = {.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO,
                                            .maxSets = 1,
@@ -254,7 +271,7 @@ static VkResult create_pipeline(const Client* client, const ClientGraphInfo* inf
         .sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_RESOURCE_INFO_ARM,
         .pNext = info->descriptions[i],
         .descriptorSet = 0,
-        .binding = i};
+        .binding = info->bindings ? info->bindings[i] : i};
   VkDataGraphPipelineConstantARM* constants = calloc(info->constant_count + 1, sizeof *constants);
   for (uint32_t i = 0; i < info->constant_count; ++i)
     constants[i] = (VkDataGraphPipelineConstantARM){
@@ -262,9 +279,13 @@ static VkResult create_pipeline(const Client* client, const ClientGraphInfo* inf
         .pNext = info->constants[i].description,
         .id = info->constants[i].id,
         .pConstantData = info->constants[i].data};
+  const VkShaderModuleCreateInfo code = {.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
+                                         .pNext = info->next,
+                                         .codeSize = 4 * info->word_count,
+                                         .pCode = info->words};
   const VkDataGraphPipelineShaderModuleCreateInfoARM module = {
       .sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SHADER_MODULE_CREATE_INFO_ARM,
-      .pNext = info->next,
+      .pNext = info->chained ? &code : info->next,
       .module = graph->module,
       .pName = info->entry_point,
       .pSpecializationInfo = info->specialization,
@@ -329,9 +350,11 @@ VkResult client_create_graph(const Client* client, const ClientGraphInfo* info,
   const VkShaderModuleCreateInfo module = {.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
                                            .codeSize = 4 * info->word_count,
                                            .pCode = info->words};
-  VkResult result = vkCreateShaderModule(client->device, &module, NULL, &graph->module);
+  VkResult result = info->chained
+                        ? VK_SUCCESS
+                        : vkCreateShaderModule(client->device, &module, NULL, &graph->module);
   if (result == VK_SUCCESS) {
-    create_layouts(client, info->tensor_count, graph);
+    create_layouts(client, info, graph);
     result = create_pipeline(client, info, graph);
   }
   if (result == VK_SUCCESS)
@@ -342,7 +365,8 @@ VkResult client_create_graph(const Client* client, const ClientGraphInfo* info,
 }
 
 void client_destroy_graph(const Client* client, ClientGraph* graph) {
-  client->DestroyDataGraphPipelineSessionARM(client->device, graph->session, NULL);
+  if (graph->session)
+    client->DestroyDataGraphPipelineSessionARM(client->device, graph->session, NULL);
   vkFreeMemory(client->device, graph->session_memory, NULL);
   vkDestroyPipeline(client->device, graph->pipeline, NULL);
   vkDestroyDescriptorPool(client->device, graph->pool, NULL);
@@ -354,6 +378,11 @@ void client_destroy_graph(const Client* client, ClientGraph* graph) {
 
 void client_write_set(const Client* client, const ClientGraph* graph, uint32_t count,
                       const VkTensorViewARM* views) {
+  client_write_bindings(client, graph, count, NULL, views);
+}
+
+void client_write_bindings(const Client* client, const ClientGraph* graph, uint32_t count,
+                           const uint32_t* bindings, const VkTensorViewARM* views) {
   for (uint32_t i = 0; i < count; ++i) {
     const VkWriteDescriptorSetTensorARM tensor = {
         .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET_TENSOR_ARM,
@@ -362,7 +391,7 @@ void client_write_set(const Client* client, const ClientGraph* graph, uint32_t c
     const VkWriteDescriptorSet write = {.sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
                                         .pNext = &tensor,
                                         .dstSet = graph->set,
-                                        .dstBinding = i,
+                                        .dstBinding = bindings ? bindings[i] : i,
                                         .descriptorCount = 1,
                                         .descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM};
     vkUpdateDescriptorSets(client->device, 1, &write, 0, NULL);

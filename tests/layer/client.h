@@ -84,8 +84,8 @@ typedef struct ClientConstant {
   const void* data;
 } ClientConstant;
 
-/* A pipeline whose tensors are bindings 0, 1, .. of set 0, with one session and its memory, and one
- * descriptor set. */
+/* A pipeline whose tensors are bindings of set 0, with one session and its memory, and one descriptor
+ * set. */
 typedef struct ClientGraph {
   VkShaderModule module;
   VkDescriptorSetLayout set_layout;
@@ -102,14 +102,17 @@ typedef struct ClientGraphInfo {
   const uint32_t* words;
   size_t word_count;
   const char* entry_point;
+  VkBool32 chained; /* the words come with the pipeline, not as a module */
   uint32_t tensor_count;
+  const uint32_t* bindings;                          /* of tensors; null: 0, 1, .. */
   const VkTensorDescriptionARM* const* descriptions; /* of tensors */
   uint32_t constant_count;
   const ClientConstant* constants;
   const VkSpecializationInfo* specialization;
   VkPipelineCreateFlags2 flags;
   VkPipelineCache cache;
-  void* next; /* chained to the pipeline's create info */
+  VkDescriptorSetLayoutCreateFlags set_flags; /* with those of pushed descriptors there is no set */
+  void* next;                                 /* chained to the pipeline's create info */
 } ClientGraphInfo;
 
 /* On failure nothing is left. */
@@ -119,7 +122,9 @@ VkResult client_create_session(const Client* client, VkPipeline pipeline,
                                VkDataGraphPipelineSessionARM* session, VkDeviceMemory* memory,
                                VkDeviceSize* bytes);
 
-/* Writes the views to the graph's set. */
+/* Writes the views to the bindings of the graph's set; null: 0, 1, .. */
+void client_write_bindings(const Client* client, const ClientGraph* graph, uint32_t count,
+                           const uint32_t* bindings, const VkTensorViewARM* views);
 void client_write_set(const Client* client, const ClientGraph* graph, uint32_t count,
                       const VkTensorViewARM* views);
 void client_record_graph(const Client* client, VkCommandBuffer commands, const ClientGraph* graph);

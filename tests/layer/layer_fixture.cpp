@@ -1,5 +1,6 @@
 #include "tests/layer/layer_fixture.h"
 
+#include <cstdlib>
 #include <cstring>
 
 #include "compiler/frontend/vgf/formats.h"
@@ -71,7 +72,7 @@ VkResult ClientRun::create(const Client& client, const Graph& source,
     const VkResult result = client_create_tensor(
         client_, static_cast<VkFormat>(vk_format_of_dtype(type.dtype)), options.tiling,
         static_cast<uint32_t>(type.shape.size()), type.shape.data(),
-        options.padding > 0 ? strides.data() : nullptr, &tensor);
+        options.padding > 0 || options.strides ? strides.data() : nullptr, &tensor);
     if (result != VK_SUCCESS) return result;
     ClientTensor& kept = tensors.emplace_back(tensor);
     kept.description.pDimensions = kept.dims;
@@ -90,12 +91,35 @@ VkResult ClientRun::create(const Client& client, const Graph& source,
     description.pDimensions = type.shape.data();
     description.usage = VK_TENSOR_USAGE_DATA_GRAPH_BIT_ARM;
   }
+  auto sparsity = VkDataGraphPipelineConstantTensorSemiStructuredSparsityInfoARM{};
+  sparsity.sType =
+      VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_CONSTANT_TENSOR_SEMI_STRUCTURED_SPARSITY_INFO_ARM;
+  sparsity.zeroCount = 2;
+  sparsity.groupSize = 4;
+  for (VkTensorDescriptionARM& description : constant_descriptions) {
+    if (!options.sparse || description.pDimensions[description.dimensionCount - 1] % 4 != 0)
+      continue;
+    sparsity.dimension = description.dimensionCount - 1;
+    description.pNext = &sparsity;
+    break;
+  }
   std::vector<ClientConstant> constants;
   for (uint32_t i = 0; i < module.constants.size(); ++i)
     constants.push_back({i, &constant_descriptions[i], module.constants[i].bytes.data()});
+  // The last tensor comes first: 2n, 2n - 2, .., 2.
+  std::vector<uint32_t> words = module.words, bindings;
+  for (size_t i = 0; i < types_.size(); ++i)
+    bindings.push_back(static_cast<uint32_t>(options.unordered ? 2 * (types_.size() - i) : i));
+  constexpr uint32_t kDecorate = 71, kBinding = 33;
+  for (size_t at = 5; at < words.size(); at += std::max(words[at] >> 16, 1u))
+    if ((words[at] & 0xffff) == kDecorate && words[at + 2] == kBinding &&
+        words[at + 3] < bindings.size())
+      words[at + 3] = bindings[words[at + 3]];
   ClientGraphInfo info{};
-  info.words = module.words.data();
-  info.word_count = module.words.size();
+  info.words = words.data();
+  info.word_count = words.size();
+  info.chained = options.chained;
+  info.bindings = bindings.data();
   info.entry_point = module.entry_point.c_str();
   info.tensor_count = static_cast<uint32_t>(descriptions.size());
   info.descriptions = descriptions.data();
@@ -103,12 +127,15 @@ VkResult ClientRun::create(const Client& client, const Graph& source,
   info.constants = constants.data();
   info.flags = options.flags;
   info.cache = options.cache;
+  info.set_flags = options.set_flags;
   info.next = options.next;
   const VkResult result = client_create_graph(client_, &info, &graph);
   if (result != VK_SUCCESS) return result;
+  if (!graph.set) return VK_SUCCESS;
   std::vector<VkTensorViewARM> views;
   for (const ClientTensor& tensor : tensors) views.push_back(tensor.view);
-  client_write_set(client_, &graph, static_cast<uint32_t>(views.size()), views.data());
+  client_write_bindings(client_, &graph, static_cast<uint32_t>(views.size()), bindings.data(),
+                        views.data());
   return VK_SUCCESS;
 }
 
@@ -164,6 +191,8 @@ std::vector<Tensor> ClientRun::run(const std::vector<Tensor>& inputs) {
   return read();
 }
 
+bool validated() { return std::getenv("SHALE_VALIDATED") != nullptr; }
+
 void LayerTest::SetUp() {
   const VkResult result = client_open(&client, nullptr);
   if (result == VK_ERROR_INCOMPATIBLE_DRIVER) GTEST_SKIP() << "there is no Vulkan device";
@@ -182,10 +211,11 @@ void LayerTest::TearDown() {
   EXPECT_EQ(client.validation_messages, 0u) << client.last_message;
 }
 
-HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage) {
+HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, const void* next) {
   HostBuffer& host = buffers_.emplace_back();
   VkBufferCreateInfo info{};
   info.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
+  info.pNext = next;
   info.size = bytes;
   info.usage = usage;
   EXPECT_EQ(vkCreateBuffer(client.device, &info, nullptr, &host.buffer), VK_SUCCESS);

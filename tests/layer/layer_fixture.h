@@ -15,9 +15,14 @@ namespace shale {
 struct GraphOptions {
   bool external_constants = true;
   VkTensorTilingARM tiling = VK_TENSOR_TILING_LINEAR_ARM;
-  int64_t padding = 0;  ///< elements behind each row of inputs and outputs; 0 gives no strides
+  int64_t padding = 0;     ///< elements behind each row of inputs and outputs; 0 gives no strides
+  bool strides = false;    ///< says them for packed rows, too
+  bool unordered = false;  ///< bindings with gaps, against the order of the tensors
+  bool chained = false;    ///< the code comes with the pipeline
+  bool sparse = false;     ///< constants may have two zeros of each four elements
   VkPipelineCreateFlags2 flags = 0;
   VkPipelineCache cache = VK_NULL_HANDLE;
+  VkDescriptorSetLayoutCreateFlags set_flags = 0;
   void* next = nullptr;
 };
 
@@ -56,13 +61,19 @@ struct HostBuffer {
   void* mapped = nullptr;
 };
 
+/// A validation layer that knows the extensions stands above: it says itself what is wrong with a call.
+/// tests/drivers/run.sh sets SHALE_VALIDATED.
+bool validated();
+#define SHALE_SKIP_IF_VALIDATED() \
+  if (validated()) GTEST_SKIP() << "calls that are wrong on purpose"
+
 /// A client per test; skips without a device, fails where validation has spoken.
 class LayerTest : public testing::Test {
  protected:
   void SetUp() override;
   void TearDown() override;
   /// Freed by TearDown. Fails the test, and maps nothing, where it cannot be made.
-  HostBuffer host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage);
+  HostBuffer host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, const void* next = nullptr);
 
   Client client{};
   bool is_open = false;

@@ -78,7 +78,9 @@ TEST_F(RecordingLayerTest, DescriptorsAreCopied) {
                             &set, 0, nullptr);
     client.CmdDispatchDataGraphARM(commands, run.graph.session, nullptr);
   };
-  EXPECT_LT(submit(record), 0) << "the set holds nothing yet";
+  if (!validated()) {
+    EXPECT_LT(submit(record), 0) << "the set holds nothing yet";
+  }
   vkUpdateDescriptorSets(client.device, 0, nullptr, 2, copies);
   EXPECT_EQ(submit(record), VK_SUCCESS) << client.last_message;
   expect_doubled();
@@ -87,6 +89,8 @@ TEST_F(RecordingLayerTest, DescriptorsAreCopied) {
 }
 
 TEST_F(RecordingLayerTest, TemplatesHoldTensorViews) {
+  // Validation 1.4.363 makes writes without VkWriteDescriptorSetTensorARM of a template's data.
+  SHALE_SKIP_IF_VALIDATED();
   struct Data {
     uint64_t before;
     VkTensorViewARM views[2];
@@ -102,8 +106,8 @@ TEST_F(RecordingLayerTest, TemplatesHoldTensorViews) {
   info.descriptorSetLayout = run.graph.set_layout;
   VkDescriptorUpdateTemplate update;
   ASSERT_EQ(vkCreateDescriptorUpdateTemplate(client.device, &info, nullptr, &update), VK_SUCCESS);
-  const VkTensorViewARM none[2] = {};
-  client_write_set(&client, &run.graph, 2, none);
+  const VkTensorViewARM swapped[2] = {data.views[1], data.views[0]};
+  client_write_set(&client, &run.graph, 2, swapped);
   vkUpdateDescriptorSetWithTemplate(client.device, run.graph.set, update, &data);
   EXPECT_EQ(run.submit(), VK_SUCCESS) << client.last_message;
   expect_doubled();
@@ -114,26 +118,13 @@ TEST_F(RecordingLayerTest, DescriptorsArePushed) {
   const auto push = reinterpret_cast<PFN_vkCmdPushDescriptorSetKHR>(
       vkGetDeviceProcAddr(client.device, "vkCmdPushDescriptorSetKHR"));
   if (!push) GTEST_SKIP() << "the device has no push descriptors";
-  VkDescriptorSetLayoutBinding bindings[2]{};
-  for (uint32_t i = 0; i < 2; ++i)
-    bindings[i] = {i, VK_DESCRIPTOR_TYPE_TENSOR_ARM, 1, VK_SHADER_STAGE_ALL, nullptr};
-  VkDescriptorSetLayoutCreateInfo set_info{};
-  set_info.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO;
-  set_info.flags = VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR;
-  set_info.bindingCount = 2;
-  set_info.pBindings = bindings;
-  VkDescriptorSetLayout set_layout;
-  ASSERT_EQ(vkCreateDescriptorSetLayout(client.device, &set_info, nullptr, &set_layout),
+  ClientRun pushed;
+  ASSERT_EQ(pushed.create(client, source,
+                          {.set_flags = VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR}),
             VK_SUCCESS);
-  VkPipelineLayoutCreateInfo layout_info{};
-  layout_info.sType = VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO;
-  layout_info.setLayoutCount = 1;
-  layout_info.pSetLayouts = &set_layout;
-  VkPipelineLayout layout;
-  ASSERT_EQ(vkCreatePipelineLayout(client.device, &layout_info, nullptr, &layout), VK_SUCCESS);
   EXPECT_EQ(submit([&](VkCommandBuffer commands) {
               vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM,
-                                run.graph.pipeline);
+                                pushed.graph.pipeline);
               VkWriteDescriptorSetTensorARM tensors[2]{};
               VkWriteDescriptorSet writes[2]{};
               for (uint32_t i = 0; i < 2; ++i) {
@@ -146,15 +137,15 @@ TEST_F(RecordingLayerTest, DescriptorsArePushed) {
                 writes[i].descriptorCount = 1;
                 writes[i].descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM;
               }
-              push(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, layout, 0, 1, &writes[0]);
-              push(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, layout, 0, 1, &writes[1]);
-              client.CmdDispatchDataGraphARM(commands, run.graph.session, nullptr);
+              push(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, pushed.graph.layout, 0, 1,
+                   &writes[0]);
+              push(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, pushed.graph.layout, 0, 1,
+                   &writes[1]);
+              client.CmdDispatchDataGraphARM(commands, pushed.graph.session, nullptr);
             }),
             VK_SUCCESS)
       << client.last_message;
   expect_doubled();
-  vkDestroyPipelineLayout(client.device, layout, nullptr);
-  vkDestroyDescriptorSetLayout(client.device, set_layout, nullptr);
 }
 
 TEST_F(RecordingLayerTest, TensorBarriersOfAllForms) {
@@ -195,6 +186,7 @@ TEST_F(RecordingLayerTest, TensorBarriersOfAllForms) {
               }
               vkCmdSetEvent2(commands, event, &several);
               vkCmdWaitEvents2(commands, 1, &event, &several);
+              client_full_barrier(commands);  // the wait is over before the event is reset
               vkCmdResetEvent2(commands, event, VK_PIPELINE_STAGE_2_DATA_GRAPH_BIT_ARM);
               client_record_graph(&client, commands, &run.graph);
             }),
@@ -239,6 +231,7 @@ TEST_F(RecordingLayerTest, SecondariesAndRepeatedSubmission) {
 }
 
 TEST_F(RecordingLayerTest, MissingStateIsAnErrorWhereTheRecordingEnds) {
+  SHALE_SKIP_IF_VALIDATED();
   EXPECT_LT(submit([&](VkCommandBuffer commands) {
               client.CmdDispatchDataGraphARM(commands, run.graph.session, nullptr);
             }),

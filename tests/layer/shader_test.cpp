@@ -116,7 +116,8 @@ class ShaderLayerTest : public LayerTest {
     VkDescriptorSet set;
     VkPipeline pipeline;
   };
-  Pipeline make(const char* text, uint32_t bindings, uint32_t count) {
+  /// `chained`: the code comes with the stage, not in a module.
+  Pipeline make(const char* text, uint32_t bindings, uint32_t count, bool chained = false) {
     Pipeline made{};
     std::vector<VkDescriptorSetLayoutBinding> list;
     for (uint32_t i = 0; i < bindings; ++i)
@@ -158,9 +159,13 @@ class ShaderLayerTest : public LayerTest {
     info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
     info.stage.pName = "main";
     info.layout = made.layout;
-    EXPECT_EQ(vkCreateShaderModule(client.device, &module_info, nullptr, &info.stage.module),
-              VK_SUCCESS)
-        << client.last_message;
+    if (chained) {
+      info.stage.pNext = &module_info;
+    } else {
+      EXPECT_EQ(vkCreateShaderModule(client.device, &module_info, nullptr, &info.stage.module),
+                VK_SUCCESS)
+          << client.last_message;
+    }
     EXPECT_EQ(
         vkCreateComputePipelines(client.device, VK_NULL_HANDLE, 1, &info, nullptr, &made.pipeline),
         VK_SUCCESS);
@@ -224,7 +229,7 @@ TEST_F(ShaderLayerTest, ReadsAndWritesWithinTheTensor) {
     auto* in = static_cast<int8_t*>(a.mapped);
     const auto* out = static_cast<const int8_t*>(b.mapped);
     for (int64_t i = 0; i < kHeight * stride; ++i) in[i] = static_cast<int8_t>(i * 7 - 50);
-    const Pipeline pipeline = make(kShift, 2, 1);
+    const Pipeline pipeline = make(kShift, 2, 1, strides != nullptr);
     write(pipeline, {a.view, b.view});
     run(pipeline, kWidth + 2, kHeight + 1, 1);  // more than there is
     for (int64_t y = 0; y < kHeight; ++y)

@@ -95,12 +95,14 @@ TEST_F(TensorLayerTest, QueueFamiliesTellTheirOperations) {
   uint32_t count = 0;
   ASSERT_EQ(query(client.physical, client.family, &count, nullptr), VK_SUCCESS);
   ASSERT_EQ(count, 1u);
-  VkQueueFamilyDataGraphPropertiesARM properties{};
-  properties.sType = VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_PROPERTIES_ARM;
+  VkQueueFamilyDataGraphPropertiesARM several[3]{};
+  for (VkQueueFamilyDataGraphPropertiesARM& each : several)
+    each.sType = VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_PROPERTIES_ARM;
+  const VkQueueFamilyDataGraphPropertiesARM& properties = several[0];
   count = 0;
-  EXPECT_EQ(query(client.physical, client.family, &count, &properties), VK_INCOMPLETE);
+  EXPECT_EQ(query(client.physical, client.family, &count, several), VK_INCOMPLETE);
   count = 3;
-  ASSERT_EQ(query(client.physical, client.family, &count, &properties), VK_SUCCESS);
+  ASSERT_EQ(query(client.physical, client.family, &count, several), VK_SUCCESS);
   EXPECT_EQ(count, 1u);
   EXPECT_STREQ(properties.operation.name, "TOSA.001000.1");
   EXPECT_EQ(properties.operation.version, 0u);
@@ -171,6 +173,7 @@ TEST_F(TensorLayerTest, ChainsOfSingleFeatureStructuresAreKept) {
 }
 
 TEST_F(TensorLayerTest, RefusesBrokenDescriptions) {
+  SHALE_SKIP_IF_VALIDATED();
   struct Case {
     const char* what;
     std::vector<int64_t> dims, strides;
@@ -316,6 +319,7 @@ TEST_F(TensorLayerTest, CopiesBetweenAllKindsOfLayouts) {
 }
 
 TEST_F(TensorLayerTest, BadCopiesFailWhereTheRecordingEnds) {
+  SHALE_SKIP_IF_VALIDATED();
   const int64_t four[] = {4}, five[] = {5};
   ClientTensor from, to;
   ASSERT_EQ(client_create_tensor(&client, VK_FORMAT_R8_SINT, VK_TENSOR_TILING_LINEAR_ARM, 1, four,
@@ -350,6 +354,7 @@ TEST_F(TensorLayerTest, BadCopiesFailWhereTheRecordingEnds) {
 }
 
 TEST_F(TensorLayerTest, MemoryMayBeDedicatedAndIsBoundOnce) {
+  SHALE_SKIP_IF_VALIDATED();
   const std::vector<int64_t> dims{3, 5};
   VkTensorARM tensor;
   ASSERT_EQ(create(description_of(dims), &tensor), VK_SUCCESS);

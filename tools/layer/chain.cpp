@@ -27,22 +27,24 @@ size_t struct_size(VkStructureType type) {
 
 }  // namespace
 
-bool is_layers(VkStructureType type) {
+bool is_layers(VkStructureType type, bool maintenance5) {
   // Registry numbers 461, 508 and 509: those of the three extensions.
   const int block = static_cast<int>(type) / 1000;
-  return block == 1000460 || block == 1000507 || block == 1000508;
+  return block == 1000460 || block == 1000507 || block == 1000508 ||
+         (maintenance5 && block == 1000470);
 }
 
-ChainCopy::ChainCopy(const void* next) {
+ChainCopy::ChainCopy(const void* next, bool maintenance5) {
   for (auto* each = static_cast<const VkBaseInStructure*>(next); each; each = each->pNext) {
-    if (is_layers(each->sType)) continue;
+    if (is_layers(each->sType, maintenance5)) continue;
     if (const size_t size = struct_size(each->sType)) {
       append_bytes(each, size);
       continue;
     }
     bool all_unknown = true;
     for (auto* after = each->pNext; after; after = after->pNext)
-      all_unknown = all_unknown && !is_layers(after->sType) && struct_size(after->sType) == 0;
+      all_unknown =
+          all_unknown && !is_layers(after->sType, maintenance5) && struct_size(after->sType) == 0;
     if (!all_unknown) continue;
     tail_ = each;
     if (!links_.empty())
@@ -50,6 +52,15 @@ ChainCopy::ChainCopy(const void* next) {
           const_cast<VkBaseOutStructure*>(static_cast<const VkBaseOutStructure*>(tail_));
     return;
   }
+}
+
+void ChainCopy::remove(VkStructureType type) {
+  std::erase_if(links_, [&](const Link& link) { return as_base(link)->sType == type; });
+  for (size_t i = 0; i < links_.size(); ++i)
+    as_base(links_[i])->pNext =
+        i + 1 < links_.size()
+            ? as_base(links_[i + 1])
+            : const_cast<VkBaseOutStructure*>(static_cast<const VkBaseOutStructure*>(tail_));
 }
 
 std::byte* ChainCopy::append_bytes(const void* from, size_t size) {
@@ -62,10 +73,10 @@ std::byte* ChainCopy::append_bytes(const void* from, size_t size) {
   return links_.back().get();
 }
 
-WithoutLayers::WithoutLayers(void* head) {
+WithoutLayers::WithoutLayers(void* head, bool maintenance5) {
   auto* before = static_cast<VkBaseOutStructure*>(head);
   while (VkBaseOutStructure* each = before->pNext) {
-    if (is_layers(each->sType)) {
+    if (is_layers(each->sType, maintenance5)) {
       undo_.push_back({before, each});
       before->pNext = each->pNext;
     } else {

@@ -26,15 +26,15 @@ T* find_in_chain(void* next, VkStructureType type) {
   return const_cast<T*>(find_in_chain<T>(static_cast<const void*>(next), type));
 }
 
-/// True for the structures of the layer's extensions.
-bool is_layers(VkStructureType type);
+/// True for the structures of the layer's extensions; with `maintenance5` for those of the extension that it lends, too.
+bool is_layers(VkStructureType type, bool maintenance5 = false);
 
 /// A chain of the application's, copied without the layer's own structures, so that it may be changed
 /// and handed on. The order of a chain means nothing. What is not known by its size cannot be copied:
 /// it stays where nothing to be left out or copied follows it, and is left out otherwise.
 class ChainCopy {
  public:
-  explicit ChainCopy(const void* next);
+  explicit ChainCopy(const void* next, bool maintenance5 = false);
   const void* next() const { return links_.empty() ? tail_ : links_.front().get(); }
 
   /// A structure of the copy, or null.
@@ -44,6 +44,8 @@ class ChainCopy {
       if (as_base(link)->sType == type) return reinterpret_cast<T*>(link.get());
     return nullptr;
   }
+  /// Leaves out what is there of a type.
+  void remove(VkStructureType type);
   /// Adds a structure of zeros.
   template <typename T>
   T& add(VkStructureType type) {
@@ -71,7 +73,7 @@ class ChainCopy {
 class WithoutLayers {
  public:
   /// `head` is the first structure, which stays.
-  explicit WithoutLayers(void* head);
+  explicit WithoutLayers(void* head, bool maintenance5 = false);
   ~WithoutLayers();
   WithoutLayers(const WithoutLayers&) = delete;
   WithoutLayers& operator=(const WithoutLayers&) = delete;

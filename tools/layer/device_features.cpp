@@ -6,11 +6,13 @@ namespace shale::layer {
 namespace {
 
 /// Every feature that `wanted` sets is set in `offered` too: structures of one type with only VkBool32
-/// members behind their head.
+/// members behind their head, `last` of them before what may be padding.
 template <typename T>
-bool all_offered(const T& wanted, const T& offered) {
+bool all_offered(const T& wanted, const T& offered, VkBool32 T::*last) {
   constexpr size_t kHead = sizeof(VkBaseInStructure);
-  for (size_t at = kHead; at + sizeof(VkBool32) <= sizeof(T); at += sizeof(VkBool32)) {
+  const auto end = static_cast<size_t>(reinterpret_cast<const char*>(&(wanted.*last) + 1) -
+                                       reinterpret_cast<const char*>(&wanted));
+  for (size_t at = kHead; at < end; at += sizeof(VkBool32)) {
     VkBool32 ask, have;
     std::memcpy(&ask, reinterpret_cast<const char*>(&wanted) + at, sizeof ask);
     std::memcpy(&have, reinterpret_cast<const char*>(&offered) + at, sizeof have);
@@ -21,13 +23,13 @@ bool all_offered(const T& wanted, const T& offered) {
 
 template <typename T>
 Result<void> check_feature_struct(const Physical& physical, const VkDeviceCreateInfo& info,
-                                  VkStructureType type, const char* name) {
+                                  VkStructureType type, VkBool32 T::*last, const char* name) {
   const T* asked = find_in_chain<T>(info.pNext, type);
   if (!asked) return {};
   T have{};
   have.sType = type;
   fill_features(physical, &have);
-  if (all_offered(*asked, have)) return {};
+  if (all_offered(*asked, have, last)) return {};
   return unsupported(name, "asks for a feature that the layer does not report");
 }
 
@@ -50,12 +52,14 @@ void turn_on(ChainCopy& chain, VkStructureType version_type, VkBool32 Version::*
 Result<void> check_features(const Physical& physical, const VkDeviceCreateInfo& info) {
   SHALE_TRY_VOID(check_feature_struct<VkPhysicalDeviceTensorFeaturesARM>(
       physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM,
-      "VkPhysicalDeviceTensorFeaturesARM"));
+      &VkPhysicalDeviceTensorFeaturesARM::tensors, "VkPhysicalDeviceTensorFeaturesARM"));
   SHALE_TRY_VOID(check_feature_struct<VkPhysicalDeviceDataGraphFeaturesARM>(
       physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM,
+      &VkPhysicalDeviceDataGraphFeaturesARM::dataGraphShaderModule,
       "VkPhysicalDeviceDataGraphFeaturesARM"));
   return check_feature_struct<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
       physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM,
+      &VkPhysicalDeviceDescriptorBufferTensorFeaturesARM::descriptorBufferTensorDescriptors,
       "VkPhysicalDeviceDescriptorBufferTensorFeaturesARM");
 }
 

@@ -48,7 +48,7 @@ void load(Function& function, PFN_vkVoidFunction found) {
 struct Hook {
   const char* name;
   PFN_vkVoidFunction function;
-  enum class Kind { kInstance, kPhysical, kDevice, kTensor, kGraph } kind;
+  enum class Kind { kInstance, kPhysical, kDevice, kTensor, kGraph, kLent, kDeferred } kind;
 };
 
 template <typename Function>
@@ -66,6 +66,8 @@ const Hook* find_hook(const char* name) {
 #define SHALE_DEVICE_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kDevice});
 #define SHALE_TENSOR_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kTensor});
 #define SHALE_GRAPH_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kGraph});
+#define SHALE_LENT_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kLent});
+#define SHALE_DEFERRED_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kDeferred});
 #define SHALE_HOOK_ALIAS(alias, name) add({"vk" #alias, as_void(name), all.at("vk" #name).kind});
 #include "tools/layer/hooks.def"
     return all;
@@ -154,8 +156,13 @@ PFN_vkVoidFunction VKAPI_CALL get_instance_proc_addr(VkInstance instance, const 
   const PFN_vkVoidFunction below = data->next(instance, name);
   const Hook* hook = find_hook(name);
   if (!hook) return below;
-  const bool is_new = hook->kind != Hook::Kind::kInstance && hook->kind != Hook::Kind::kDevice;
-  return is_new || below ? hook->function : nullptr;
+  switch (hook->kind) {
+    case Hook::Kind::kInstance:
+    case Hook::Kind::kDevice: return below ? hook->function : nullptr;
+    case Hook::Kind::kLent:
+    case Hook::Kind::kDeferred: return below ? below : hook->function;
+    default: return hook->function;
+  }
 }
 
 PFN_vkVoidFunction VKAPI_CALL get_physical_device_proc_addr(VkInstance instance, const char* name) {
@@ -177,9 +184,11 @@ PFN_vkVoidFunction VKAPI_CALL get_device_proc_addr(VkDevice device, const char* 
   if (!hook) return below;
   switch (hook->kind) {
     case Hook::Kind::kDevice:
-      return below && (data.tensors || data.graphs) ? hook->function : below;
+      return below && (data.tensors || data.graphs || data.maintenance5) ? hook->function : below;
     case Hook::Kind::kTensor: return data.tensors ? hook->function : below;
     case Hook::Kind::kGraph: return data.graphs ? hook->function : below;
+    case Hook::Kind::kLent: return data.maintenance5 ? hook->function : below;
+    case Hook::Kind::kDeferred: return data.deferred ? hook->function : below;
     default: return nullptr;  // no function of a device
   }
 }
@@ -279,7 +288,7 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
       }
       below.enabledExtensionCount = static_cast<uint32_t>(names.size());
       below.ppEnabledExtensionNames = names.data();
-      chain.emplace(info->pNext);
+      chain.emplace(info->pNext, known.lends_maintenance5);
       if (tensors || graphs) add_kernel_features(known, below, features, *chain);
       below.pNext = chain->next();
     }
@@ -301,6 +310,10 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
     data->next = next;
     data->tensors = tensors;
     data->graphs = graphs;
+    data->maintenance5 =
+        known.lends_maintenance5 && enables(*info, VK_KHR_MAINTENANCE_5_EXTENSION_NAME);
+    data->deferred =
+        known.lends_deferred && enables(*info, VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
     const auto* asked = find_in_chain<VkPhysicalDeviceTensorFeaturesARM>(
         info->pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM);
     data->tensor_shaders = tensors && asked && asked->shaderTensorAccess;
@@ -308,7 +321,7 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
 #define SHALE_DEVICE_HOOK(name) load(data->name, find("vk" #name));
 #include "tools/layer/hooks.def"
     load(data->GetImageSubresourceLayout, find("vkGetImageSubresourceLayout"));
-    load(data->DestroyImage, find("vkDestroyImage"));
+    load(data->CmdBindIndexBuffer, find("vkCmdBindIndexBuffer"));
     if (tensors || graphs) {
       if (const Result<void> opened = open_context(*data, below); !opened) {
         const VkResult failed =
@@ -337,7 +350,7 @@ void VKAPI_CALL DestroyDevice(VkDevice device, const VkAllocationCallbacks* allo
 
 }  // namespace shale::layer
 
-extern "C" VK_LAYER_EXPORT VKAPI_ATTR VkResult VKAPI_CALL
+extern "C" __attribute__((visibility("default"))) VKAPI_ATTR VkResult VKAPI_CALL
 vkNegotiateLoaderLayerInterfaceVersion(VkNegotiateLayerInterface* negotiation) {
   using namespace shale::layer;
   if (!negotiation || negotiation->sType != LAYER_NEGOTIATE_INTERFACE_STRUCT ||

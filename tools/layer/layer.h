@@ -32,6 +32,8 @@ namespace shale::layer {
 #define SHALE_DEVICE_HOOK(name) std::remove_pointer_t<PFN_vk##name> name;
 #define SHALE_TENSOR_HOOK(name) std::remove_pointer_t<PFN_vk##name> name;
 #define SHALE_GRAPH_HOOK(name) std::remove_pointer_t<PFN_vk##name> name;
+#define SHALE_LENT_HOOK(name) std::remove_pointer_t<PFN_vk##name> name;
+#define SHALE_DEFERRED_HOOK(name) std::remove_pointer_t<PFN_vk##name> name;
 #define SHALE_PHYSICAL_HOOK(name) std::remove_pointer_t<PFN_vk##name> name;
 #include "tools/layer/hooks.def"
 
@@ -110,6 +112,8 @@ struct Physical {
   /// False where the layer steps aside: below Vulkan 1.3, or where the device has one of the
   /// extensions itself.
   bool serves = false;
+  /// VK_KHR_maintenance5, VK_KHR_deferred_host_operations: the layer serves and the device has them not.
+  bool lends_maintenance5 = false, lends_deferred = false;
   bool dynamic_indexing = false;  ///< shaderStorageBufferArrayDynamicIndexing
   DeviceCaps caps;
   VkPhysicalDeviceLimits limits{};
@@ -162,12 +166,13 @@ struct Device {
   Instance* instance = nullptr;
   const Physical* physical = nullptr;
   PFN_vkGetDeviceProcAddr next = nullptr;
-  bool tensors = false, graphs = false;  ///< which extension the application enabled
-  bool tensor_shaders = false;           ///< it enabled shaderTensorAccess
+  bool tensors = false, graphs = false;         ///< which extension the application enabled
+  bool tensor_shaders = false;                  ///< it enabled shaderTensorAccess
+  bool maintenance5 = false, deferred = false;  ///< it enabled what the layer lends
 #define SHALE_DEVICE_HOOK(name) PFN_vk##name name = nullptr;
 #include "tools/layer/hooks.def"
   PFN_vkGetImageSubresourceLayout GetImageSubresourceLayout = nullptr;
-  PFN_vkDestroyImage DestroyImage = nullptr;
+  PFN_vkCmdBindIndexBuffer CmdBindIndexBuffer = nullptr;
   /// For the runtime; there if `tensors` or `graphs`.
   std::optional<vk::Context> context;
 
@@ -181,6 +186,9 @@ struct Device {
   Registry<VkShaderModule, std::shared_ptr<GraphModule>> modules;
   Registry<VkPipelineCache, std::shared_ptr<GraphCache>> caches;
   Registry<VkPipeline, GraphPipeline*> pipelines;
+  /// What maintenance5 leaves out of commands; kept where it is lent.
+  Registry<VkImage, uint32_t> image_layers;
+  Registry<VkBuffer, VkDeviceSize> buffer_sizes;
   std::mutex mutex;  ///< of what follows
   std::set<GraphSession*> sessions;
   std::map<std::pair<VkPrivateDataSlot, uint64_t>, uint64_t> private_data;

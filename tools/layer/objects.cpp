@@ -85,7 +85,10 @@ VkResult VKAPI_CALL CreateImage(VkDevice handle, const VkImageCreateInfo* info,
         return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle),
                            unsupported("VkImageCreateInfo", "the device has no such linear image"));
     }
-    return device.CreateImage(handle, &below, allocator, result);
+    const VkResult created = device.CreateImage(handle, &below, allocator, result);
+    if (created == VK_SUCCESS && device.maintenance5 && info->arrayLayers > 1)
+      device.image_layers.put(*result, info->arrayLayers);
+    return created;
   });
 }
 

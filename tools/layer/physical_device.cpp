@@ -23,6 +23,18 @@ constexpr Offer kOffers[] = {
      VK_ARM_DATA_GRAPH_INSTRUCTION_SET_TOSA_SPEC_VERSION},
 };
 
+/// What they depend on, lent where the device has it not.
+struct Lent {
+  Offer offer;
+  bool Physical::*lends;
+};
+constexpr Lent kLent[] = {
+    {{VK_KHR_MAINTENANCE_5_EXTENSION_NAME, VK_KHR_MAINTENANCE_5_SPEC_VERSION},
+     &Physical::lends_maintenance5},
+    {{VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_DEFERRED_HOST_OPERATIONS_SPEC_VERSION},
+     &Physical::lends_deferred},
+};
+
 constexpr VkDataGraphTOSANameQualityARM kProfiles[] = {
     {"PRO-INT",
      VK_DATA_GRAPH_TOSA_QUALITY_ACCELERATED_ARM | VK_DATA_GRAPH_TOSA_QUALITY_CONFORMANT_ARM}};
@@ -53,6 +65,18 @@ VkResult extensions_below(const Instance& instance, VkPhysicalDevice physical,
   result = instance.EnumerateDeviceExtensionProperties(physical, nullptr, &count, list.data());
   list.resize(count);
   return result;
+}
+
+bool has_name(const std::vector<VkExtensionProperties>& list, const char* name) {
+  return std::any_of(list.begin(), list.end(), [&](const VkExtensionProperties& each) {
+    return std::strcmp(each.extensionName, name) == 0;
+  });
+}
+
+/// Formats that came with the layer's extensions: devices know nothing of them.
+bool is_new_format(const Physical& physical, VkFormat format) {
+  const int block = static_cast<int>(format) / 1000;
+  return block == 1000460 || (block == 1000470 && physical.lends_maintenance5);
 }
 
 /// Zeros behind a structure's head.
@@ -112,8 +136,11 @@ VkFormatFeatureFlags2 tensor_features(const Physical& physical, VkFormat format,
 
 bool offered(const Physical& physical, std::string_view extension) {
   return physical.serves &&
-         std::any_of(std::begin(kOffers), std::end(kOffers),
-                     [&](const Offer& offer) { return extension == offer.name; });
+         (std::any_of(std::begin(kOffers), std::end(kOffers),
+                      [&](const Offer& offer) { return extension == offer.name; }) ||
+          std::any_of(std::begin(kLent), std::end(kLent), [&](const Lent& lent) {
+            return physical.*lent.lends && extension == lent.offer.name;
+          }));
 }
 
 void fill_features(const Physical& physical, void* chain) {
@@ -134,6 +161,10 @@ void fill_features(const Physical& physical, void* chain) {
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM))
     buffers->descriptorBufferTensorDescriptors = VK_FALSE;
+  if (auto* lent = find_in_chain<VkPhysicalDeviceMaintenance5FeaturesKHR>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_5_FEATURES_KHR);
+      lent && physical.lends_maintenance5)
+    lent->maintenance5 = VK_TRUE;
 }
 
 void fill_properties(const Physical& physical, void* chain) {
@@ -158,6 +189,11 @@ void fill_properties(const Physical& physical, void* chain) {
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorPropertiesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_PROPERTIES_ARM))
     clear_body(*buffers);
+  // What a device does not promise is false.
+  if (auto* lent = find_in_chain<VkPhysicalDeviceMaintenance5PropertiesKHR>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_5_PROPERTIES_KHR);
+      lent && physical.lends_maintenance5)
+    clear_body(*lent);
 }
 
 const Physical& Instance::physical(VkPhysicalDevice wanted) {
@@ -175,15 +211,14 @@ const Physical& Instance::physical(VkPhysicalDevice wanted) {
     functions.GetPhysicalDeviceQueueFamilyProperties(wanted, &count, nullptr);
     found->families.resize(count);
     functions.GetPhysicalDeviceQueueFamilyProperties(wanted, &count, found->families.data());
-    const bool native = std::any_of(extensions.begin(), extensions.end(), [](const auto& each) {
-      return std::any_of(std::begin(kOffers), std::end(kOffers), [&](const Offer& offer) {
-        return std::strcmp(each.extensionName, offer.name) == 0;
-      });
-    });
+    const bool native =
+        std::any_of(std::begin(kOffers), std::end(kOffers),
+                    [&](const Offer& offer) { return has_name(extensions, offer.name); });
     const bool is_new_enough = properties.apiVersion >= VK_API_VERSION_1_3;
     found->serves = is_new_enough && !native && vk::choose_queue_family(found->families);
     found->limits = properties.limits;
     if (found->serves) {
+      for (const Lent& lent : kLent) (*found).*lent.lends = !has_name(extensions, lent.offer.name);
       found->caps = vk::snapshot_caps(wanted, functions);
       VkPhysicalDeviceFeatures2 features{};
       features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
@@ -208,12 +243,17 @@ VkResult VKAPI_CALL EnumerateDeviceExtensionProperties(VkPhysicalDevice physical
       const VkResult below = extensions_below(*instance, physical, list);
       if (below != VK_SUCCESS) return below;
     }
-    if (instance->physical(physical).serves)
-      for (const Offer& offer : kOffers) {
-        VkExtensionProperties& added = list.emplace_back();
-        std::strncpy(added.extensionName, offer.name, sizeof added.extensionName - 1);
-        added.specVersion = offer.version;
-      }
+    const Physical& known = instance->physical(physical);
+    const auto add = [&](const Offer& offer) {
+      VkExtensionProperties& added = list.emplace_back();
+      std::strncpy(added.extensionName, offer.name, sizeof added.extensionName - 1);
+      added.specVersion = offer.version;
+    };
+    if (known.serves) {
+      for (const Offer& offer : kOffers) add(offer);
+      for (const Lent& lent : kLent)
+        if (known.*lent.lends) add(lent.offer);
+    }
     return enumerate(static_cast<uint32_t>(list.size()), count, results,
                      [&](VkExtensionProperties& result, uint32_t i) { result = list[i]; });
   });
@@ -227,7 +267,7 @@ void VKAPI_CALL GetPhysicalDeviceFeatures2(VkPhysicalDevice physical,
     const bool serves = known.serves;
     {
       std::optional<WithoutLayers> without;
-      if (serves) without.emplace(features);
+      if (serves) without.emplace(features, known.lends_maintenance5);
       instance->GetPhysicalDeviceFeatures2(physical, features);
     }
     if (serves) fill_features(known, features->pNext);
@@ -241,10 +281,22 @@ void VKAPI_CALL GetPhysicalDeviceProperties2(VkPhysicalDevice physical,
     const Physical& known = instance->physical(physical);
     {
       std::optional<WithoutLayers> without;
-      if (known.serves) without.emplace(properties);
+      if (known.serves) without.emplace(properties, known.lends_maintenance5);
       instance->GetPhysicalDeviceProperties2(physical, properties);
     }
     if (known.serves) fill_properties(known, properties->pNext);
+  });
+}
+
+void VKAPI_CALL GetPhysicalDeviceFormatProperties(VkPhysicalDevice physical, VkFormat format,
+                                                  VkFormatProperties* properties) {
+  guarded_void([&] {
+    const auto instance = instance_of(physical);
+    const Physical& known = instance->physical(physical);
+    if (known.serves && is_new_format(known, format))
+      *properties = {};
+    else
+      instance->GetPhysicalDeviceFormatProperties(physical, format, properties);
   });
 }
 
@@ -257,7 +309,7 @@ void VKAPI_CALL GetPhysicalDeviceFormatProperties2(VkPhysicalDevice physical, Vk
       instance->GetPhysicalDeviceFormatProperties2(physical, format, properties);
       return;
     }
-    const bool is_known_below = static_cast<int>(format) / 1000 != 1000460;
+    const bool is_known_below = !is_new_format(known, format);
     {
       const WithoutLayers without(properties);
       if (is_known_below)
@@ -285,7 +337,9 @@ VkResult VKAPI_CALL GetPhysicalDeviceImageFormatProperties(
     VkImageUsageFlags usage, VkImageCreateFlags flags, VkImageFormatProperties* result) {
   return guarded([&]() -> VkResult {
     const auto instance = instance_of(physical);
-    if (instance->physical(physical).serves && usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
+    const Physical& known = instance->physical(physical);
+    if (known.serves && is_new_format(known, format)) return VK_ERROR_FORMAT_NOT_SUPPORTED;
+    if (known.serves && usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
       usage &= ~VkImageUsageFlags{VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM};
       tiling = VK_IMAGE_TILING_LINEAR;  // as objects.cpp makes them
     }
@@ -299,9 +353,10 @@ VkResult VKAPI_CALL GetPhysicalDeviceImageFormatProperties2(
     VkImageFormatProperties2* result) {
   return guarded([&]() -> VkResult {
     const auto instance = instance_of(physical);
+    const Physical& known = instance->physical(physical);
+    if (known.serves && is_new_format(known, info->format)) return VK_ERROR_FORMAT_NOT_SUPPORTED;
     VkPhysicalDeviceImageFormatInfo2 below = *info;
-    if (instance->physical(physical).serves &&
-        info->usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
+    if (known.serves && info->usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
       below.usage &= ~VkImageUsageFlags{VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM};
       below.tiling = VK_IMAGE_TILING_LINEAR;
     }

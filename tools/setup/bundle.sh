@@ -54,6 +54,10 @@ for folder in "$here"/fallback/*; do
     *) libraries=$libraries:$folder ;;
   esac
 done
+cases=$here/tests/golden
+if [ ! -d "$cases/tosa" ]; then
+  rm -rf "$cases/part" && mkdir "$cases/part" && tar -C "$cases/part" -xzf "$cases/tosa.tar.gz" && mv "$cases/part" "$cases/tosa"
+fi
 program=$1
 shift
 SHALE_SOURCES=$here LD_LIBRARY_PATH=$libraries${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH} exec "$here/bin/$program" "$@"
@@ -65,7 +69,7 @@ END
 chmod +x "$out/run" "$out/shale"
 
 (cd "$source" && tar -c --exclude=weights.npz models shaders) | tar -x -C "$out"
-cp -r "$golden" "$out/tests/golden/tosa"
+tar -C "$golden" -czf "$out/tests/golden/tosa.tar.gz" .  # unpacked by the first run
 find "$out" -name __pycache__ -prune -exec rm -r {} +
 
 mib=$(du -sm --apparent-size "$out" | cut -f 1)

@@ -8,6 +8,7 @@
 #include "ir/verify/verify.h"
 #include "tools/shale/command.h"
 #include "tools/shale/device_run.h"
+#include "tools/shale/native.h"
 #include "tools/shale/npy.h"
 
 namespace shale {
@@ -47,7 +48,9 @@ Result<std::vector<fs::path>> find_cases(const std::string& root) {
 
 class Runner {
  public:
-  Runner(const Arguments& arguments, ToolDevice* device) : arguments_(arguments), device_(device) {}
+  /// At most one of the devices is there; the interpreter runs without.
+  Runner(const Arguments& arguments, const ToolDevice* device, const NativeDevice* native)
+      : arguments_(arguments), device_(device), native_(native) {}
 
   Outcome run(const fs::path& folder) const {
     Outcome outcome{folder.string(), false, {}};
@@ -98,6 +101,7 @@ class Runner {
 
   Result<std::vector<Tensor>> compute(const Graph& graph, const std::vector<uint8_t>& bytes,
                                       const std::vector<Tensor>& inputs, bool must_accept) const {
+    if (native_) return must_accept ? native_->run(graph, inputs) : std::vector<Tensor>{};
     if (!device_) return must_accept ? interpret(graph, inputs) : std::vector<Tensor>{};
     SHALE_TRY(const CompileOptions options, arguments_.compile.options({}));
     SHALE_TRY(const Compiled compiled, compile(bytes, options));
@@ -124,7 +128,8 @@ class Runner {
   }
 
   const Arguments& arguments_;
-  ToolDevice* device_;
+  const ToolDevice* device_;
+  const NativeDevice* native_;
 };
 
 Result<int> conform(const Arguments& arguments) {
@@ -135,10 +140,13 @@ Result<int> conform(const Arguments& arguments) {
   }
   if (cases.empty()) return bad_input("", "no folder with a desc.json below the given folders");
   std::optional<ToolDevice> device;
+  std::optional<NativeDevice> native;
   if (arguments.backend == "device") {
     SHALE_TRY(device, ToolDevice::open(arguments.device));
+  } else if (arguments.backend == "native") {
+    SHALE_TRY(native, NativeDevice::open(arguments.device));
   }
-  const Runner runner(arguments, device ? &*device : nullptr);
+  const Runner runner(arguments, device ? &*device : nullptr, native ? &*native : nullptr);
   size_t passed = 0;
   Json failures = Json::array();
   {
@@ -146,8 +154,9 @@ Result<int> conform(const Arguments& arguments) {
     for (size_t i = 0; i < cases.size(); ++i) {
       if (!progress.step(i, cases.size())) return bad_input("", "interrupted");
       Outcome outcome = runner.run(cases[i]);
-      if (device) {
-        const std::vector<std::string> messages = device->take_validation_messages();
+      if (device || native) {
+        const std::vector<std::string> messages =
+            device ? device->take_validation_messages() : native->take_validation_messages();
         if (outcome.passed && !messages.empty())
           outcome.passed = false, outcome.detail = "validation: " + messages.front();
       }
@@ -156,6 +165,7 @@ Result<int> conform(const Arguments& arguments) {
     }
   }
   if (device) SHALE_TRY_VOID(device->close());
+  if (native) SHALE_TRY_VOID(native->close());
   if (arguments.json) {
     print_json({{"backend", arguments.backend},
                 {"passed", passed},
@@ -175,8 +185,9 @@ Result<int> conform(const Arguments& arguments) {
 Action add_conform(CLI::App& app) {
   auto arguments = std::make_shared<Arguments>();
   app.add_option("folders", arguments->folders, "case folders, or folders of such")->required();
-  app.add_option("--backend", arguments->backend, "interpreter or device")
-      ->check(CLI::IsMember({"interpreter", "device"}));
+  app.add_option("--backend", arguments->backend,
+                 "interpreter, device, or native: the device's own data graph pipelines")
+      ->check(CLI::IsMember({"interpreter", "device", "native"}));
   add_device_options(app, arguments->device);
   arguments->compile.add_to(app, &arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");

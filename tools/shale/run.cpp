@@ -8,6 +8,7 @@
 #include "ir/base/file.h"
 #include "tools/shale/command.h"
 #include "tools/shale/layer_check.h"
+#include "tools/shale/native.h"
 #include "tools/shale/npy.h"
 #include "tools/shale/outputs.h"
 #include "tools/shale/random_inputs.h"
@@ -24,7 +25,7 @@ struct Arguments {
   CompileArguments compile;
   DeviceArguments device;
   uint32_t repeat = 1;
-  bool check = false, profile = false, json = false;
+  bool check = false, profile = false, native = false, json = false;
 };
 
 /// NAME=LOW,HIGH.
@@ -58,26 +59,47 @@ std::optional<std::string> take_file(std::vector<std::string>& texts, const std:
   return file;
 }
 
+/// The network as the outside sees it, by its package or by its graph.
+struct NamedType {
+  std::string name;
+  TensorType type;
+};
+struct Interface {
+  std::vector<NamedType> inputs, outputs;
+
+  explicit Interface(const Variant& variant) {
+    for (const Resource* input : tensors_of(variant, Category::kInput))
+      inputs.push_back({input->name, {input->dtype, input->shape}});
+    for (const Resource* output : tensors_of(variant, Category::kOutput))
+      outputs.push_back({output->name, {output->dtype, output->shape}});
+  }
+  explicit Interface(const Graph& graph) {
+    for (const ValueId id : graph.inputs)
+      inputs.push_back({graph.value(id).name, graph.value(id).type});
+    for (const ValueId id : graph.outputs)
+      outputs.push_back({graph.value(id).name, graph.value(id).type});
+  }
+};
+
 /// What is missing is told before the driver compiles.
-Result<void> check_input_names(const Arguments& arguments, const Variant& variant) {
+Result<void> check_input_names(const Arguments& arguments, const Interface& interface) {
   std::vector<std::string> unused = arguments.inputs;
-  for (const Resource* resource : tensors_of(variant, Category::kInput))
-    if (!take_file(unused, resource->name) && !arguments.random_seed)
-      return bad_input("input \"" + resource->name + "\"",
-                       "is missing; give --input {}=FILE.npy of {}, or --random SEED",
-                       resource->name, type_text({resource->dtype, resource->shape}));
+  for (const auto& [name, type] : interface.inputs)
+    if (!take_file(unused, name) && !arguments.random_seed)
+      return bad_input("input \"" + name + "\"",
+                       "is missing; give --input {}=FILE.npy of {}, or --random SEED", name,
+                       type_text(type));
   if (!unused.empty())
     return bad_input("--input", "\"{}\" names no input of the network", unused.front());
   return {};
 }
 
 /// The inputs that come from files, in the order of the network; the others are empty.
-Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Variant& variant) {
+Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Interface& interface) {
   std::vector<Tensor> tensors;
   std::vector<std::string> texts = arguments.inputs;
-  for (const Resource* resource : tensors_of(variant, Category::kInput)) {
-    const TensorType type{resource->dtype, resource->shape};
-    if (const std::optional<std::string> file = take_file(texts, resource->name)) {
+  for (const auto& [name, type] : interface.inputs) {
+    if (const std::optional<std::string> file = take_file(texts, name)) {
       SHALE_TRY(Tensor tensor, read_npy(*file, type));
       tensors.push_back(std::move(tensor));
     } else {
@@ -88,12 +110,11 @@ Result<std::vector<Tensor>> read_inputs(const Arguments& arguments, const Varian
 }
 
 /// By the graph, where it is known; of a package alone the types have to do.
-Result<std::vector<RandomRange>> ranges_of(const GivenRanges& given, const Variant& variant,
+Result<std::vector<RandomRange>> ranges_of(const GivenRanges& given, const Interface& interface,
                                            const std::optional<Graph>& graph) {
   if (graph) return legal_ranges(*graph, given);
   Graph inputs_alone;
-  for (const Resource* resource : tensors_of(variant, Category::kInput))
-    inputs_alone.add_input(resource->name, {resource->dtype, resource->shape});
+  for (const auto& [name, type] : interface.inputs) inputs_alone.add_input(name, type);
   return legal_ranges(inputs_alone, given);
 }
 
@@ -140,6 +161,24 @@ Result<Package> load_package(const Arguments& arguments, std::optional<Graph>& g
   return std::move(compiled.package);
 }
 
+/// The model's own graph, as another compiler would get it.
+Result<Graph> load_graph(const Arguments& arguments) {
+  SHALE_TRY(const ModelFiles model,
+            load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));
+  SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
+  Result<Graph> graph = shaped_graph(model.bytes, options);
+  if (!graph) return in_file(model.path, graph.error());
+  return graph;
+}
+
+/// Draws the values of inputs that no file gives.
+void fill_random(std::vector<Tensor>& inputs, const std::vector<RandomRange>& ranges,
+                 uint64_t seed) {
+  std::mt19937_64 generator(seed);
+  for (size_t i = 0; i < inputs.size(); ++i)
+    if (inputs[i].bytes.empty()) inputs[i] = random_tensor(inputs[i].type, ranges[i], generator);
+}
+
 Result<int> run(const Arguments& arguments) {
   Outputs files;
   SHALE_TRY_VOID(files.claim("--profile-to", arguments.profile_file));
@@ -148,38 +187,54 @@ Result<int> run(const Arguments& arguments) {
     return bad_input("--range", "says how random values are drawn; --random SEED is missing");
   std::optional<Graph> graph;
   std::optional<CompileOptions> options;
-  SHALE_TRY(const Package package, load_package(arguments, graph, options));
-  const Variant& variant = package.variants.front();
-  SHALE_TRY_VOID(check_input_names(arguments, variant));
-  if (graph) SHALE_TRY_VOID(match_shapes(*graph, variant));
-  SHALE_TRY(const std::vector<RandomRange> ranges, ranges_of(given, variant, graph));
-  SHALE_TRY(std::vector<Tensor> inputs, read_inputs(arguments, variant));
-  const std::vector<const Resource*> names = tensors_of(variant, Category::kOutput);
+  std::optional<Package> package;
+  if (arguments.native) {
+    SHALE_TRY(graph, load_graph(arguments));
+  } else {
+    SHALE_TRY(package, load_package(arguments, graph, options));
+    if (graph) SHALE_TRY_VOID(match_shapes(*graph, package->variants.front()));
+  }
+  const Interface interface = package ? Interface(package->variants.front()) : Interface(*graph);
+  SHALE_TRY_VOID(check_input_names(arguments, interface));
+  SHALE_TRY(const std::vector<RandomRange> ranges, ranges_of(given, interface, graph));
+  SHALE_TRY(std::vector<Tensor> inputs, read_inputs(arguments, interface));
+  const std::vector<NamedType>& names = interface.outputs;
   std::vector<std::string> paths;
   if (!arguments.output_folder.empty()) {
     SHALE_TRY_VOID(make_folder(arguments.output_folder));
     FileNames file_names;
-    for (const Resource* name : names) {
+    for (const NamedType& output : names) {
       paths.push_back(
-          (fs::path(arguments.output_folder) / (file_names.claim(name->name) + ".npy")).string());
-      SHALE_TRY_VOID(files.claim("output \"" + name->name + "\"", paths.back()));
+          (fs::path(arguments.output_folder) / (file_names.claim(output.name) + ".npy")).string());
+      SHALE_TRY_VOID(files.claim("output \"" + output.name + "\"", paths.back()));
     }
   }
-  SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
-  // The device refuses what it cannot run before there are random inputs.
+  std::optional<ToolDevice> device;
+  std::optional<NativeDevice> native;
+  if (arguments.native) {
+    SHALE_TRY(native, NativeDevice::open(arguments.device));
+  } else {
+    SHALE_TRY(device, ToolDevice::open(arguments.device));
+  }
   std::vector<Tensor> outputs;
   std::vector<DispatchTime> times;
   const bool measure = arguments.profile || !arguments.profile_file.empty();
-  {
-    SHALE_TRY(NetworkRun network, NetworkRun::create(device, package));
-    std::mt19937_64 generator(arguments.random_seed.value_or(0));
-    for (size_t i = 0; i < inputs.size(); ++i)
-      if (inputs[i].bytes.empty()) inputs[i] = random_tensor(inputs[i].type, ranges[i], generator);
+  const uint64_t seed = arguments.random_seed.value_or(0);
+  if (native) {
+    fill_random(inputs, ranges, seed);
+    double median_us = 0;
+    SHALE_TRY(outputs, native->run(*graph, inputs, arguments.repeat, &median_us));
+    if (measure) times.push_back({"graph", "native", "graph", median_us});
+  } else {
+    // The device refuses what it cannot run before there are random inputs.
+    SHALE_TRY(NetworkRun network, NetworkRun::create(*device, *package));
+    fill_random(inputs, ranges, seed);
     SHALE_TRY_VOID(network.set_inputs(inputs));
     SHALE_TRY(outputs, run_repeatedly(network, arguments.repeat, measure ? &times : nullptr));
   }
 
-  Json json{{"device", device.context().caps.name}};
+  const std::string& device_name = native ? native->name() : device->context().caps.name;
+  Json json{{"device", device_name}};
   int exit = kDone;
   std::vector<OutputCheck> checks;
   std::vector<LayerCheck> layers;
@@ -189,27 +244,27 @@ Result<int> run(const Arguments& arguments) {
                 return progress.step(node, count);
               }));
     for (size_t i = 0; i < outputs.size(); ++i) {
-      json["check"][names[i]->name] =
+      json["check"][names[i].name] =
           checks[i].difference.value_or(checks[i].widest ? "within bounds" : "equal");
       if (checks[i].widest && std::isfinite(*checks[i].widest))
-        json["bounds"][names[i]->name] = *checks[i].widest;
+        json["bounds"][names[i].name] = *checks[i].widest;
       if (checks[i].difference) exit = kRefused;
     }
-    if (has_reals(*graph) && options) {
-      SHALE_TRY(layers,
-                check_layers(device, *graph, *options, inputs, [&](uint32_t layer, uint32_t count) {
-                  return progress.step(layer, count);
-                }));
+    if (has_reals(*graph) && options && device) {
+      SHALE_TRY(layers, check_layers(*device, *graph, *options, inputs,
+                                     [&](uint32_t layer, uint32_t count) {
+                                       return progress.step(layer, count);
+                                     }));
       for (const LayerCheck& layer : layers) {
         json["layers"][layer.name] = layer.check.difference.value_or("within bounds");
         if (layer.check.difference) exit = kRefused;
       }
     }
   }
-  SHALE_TRY_VOID(device.close());
+  SHALE_TRY_VOID(native ? native->close() : device->close());
   for (size_t i = 0; i < paths.size(); ++i) {
     SHALE_TRY_VOID(write_npy(paths[i], outputs[i]));
-    json["outputs"][names[i]->name] = paths[i];
+    json["outputs"][names[i].name] = paths[i];
   }
   double total_us = 0;
   for (const DispatchTime& time : times) {
@@ -224,9 +279,9 @@ Result<int> run(const Arguments& arguments) {
     print_json(json);
     return exit;
   }
-  fmt::print("ran on {}\n", device.context().caps.name);
+  fmt::print("ran on {}{}\n", device_name, native ? ", by its own data graph pipelines" : "");
   for (size_t i = 0; i < checks.size(); ++i)
-    fmt::print("output \"{}\": {}\n", names[i]->name, checks[i].text());
+    fmt::print("output \"{}\": {}\n", names[i].name, checks[i].text());
   for (const LayerCheck& layer : layers)
     fmt::print("layer \"{}\" alone: {}\n", layer.name, layer.check.text());
   if (arguments.profile) {
@@ -258,6 +313,9 @@ Action add_run(CLI::App& app) {
       "--check", arguments->check,
       "compare with the reference interpreter: bit for bit, floats by their rounding bounds");
   app.add_option("--model", arguments->check_model, "the model of a package, for --check");
+  app.add_flag("--native", arguments->native,
+               "run the model on the device's own data graph pipelines (VK_ARM_data_graph), for a "
+               "driver or a layer that has them; the time is that of the whole graph");
   app.add_option("--repeat", arguments->repeat, "runs; times are the median")
       ->check(CLI::Range(1, 10000));
   app.add_flag("--profile", arguments->profile, "print the time of each dispatch");
