@@ -264,6 +264,8 @@ Result<PlannedGraph> planned_graph(const Graph& graph, const std::string& file,
                                    std::vector<std::string>& warnings) {
   PlannedGraph planned{.name = "graph", .graph = &graph};
   planned.tile_tolerance = options.tiles;
+  // What the passes leave as it was is so to the bit.
+  if (options.tiles && options.frame && options.frame->settles) planned.tile_tolerance = 0;
   SHALE_TRY(planned.problems, group_problems(graph, profile, options, warnings));
   // A frame runs one of the programs that a parameter chooses among.
   const bool is_chosen = options.frame && !options.frame->chosen_by.empty();
@@ -298,9 +300,10 @@ Result<Plan> plan_target(std::span<const PlannedGraph> graphs, const DeviceProfi
     SHALE_TRY(const auto sizes, frame_sizes(*options.frame, options.sizes));
     std::vector<const FramePromise*> kept;
     if (options.needs) kept = kept_promises(*options.frame, *options.needs, sizes.first);
-    SHALE_TRY_VOID(lower_frame(
-        plan, graphs,
-        {*options.frame, sizes.first, sizes.second, options.load_shader, profile, kept}, weights));
+    SHALE_TRY_VOID(lower_frame(plan, graphs,
+                               {*options.frame, sizes.first, sizes.second, options.load_shader,
+                                profile, kept, options.tiles},
+                               weights));
   } else {
     plan.variant.programs = {"frame"};
     SHALE_TRY_VOID(plan_interface(plan, graphs[0]));

@@ -37,8 +37,9 @@ struct CompileOptions {
   std::optional<double> expected_runs;
   /// SelectOptions::start_us; infinity leaves start forms out.
   double start_us = kStartUs;
-  /// Networks work by tiles (Tiles in package.h), with this tolerance in codes, up to kMaxTileTolerance; nothing is the
-  /// whole picture in every run.
+  /// Networks work by tiles (Tiles in package.h), with this tolerance in codes, up to kMaxTileTolerance; above 0 the tiles
+  /// of a frame that has `settles` stay as they are where nothing happens (compiler/plan/settled.h), and what its networks
+  /// then see they see exactly. Nothing is the whole picture in every run.
   std::optional<uint32_t> tiles;
   bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
   bool optimize_spirv = true;

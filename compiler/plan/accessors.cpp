@@ -435,6 +435,8 @@ class Writer {
 
 const VerbInfo& verb_info(Verb verb) { return kVerbs[static_cast<size_t>(verb)]; }
 
+const char* fetched_type(ImageFormat format) { return texel_type(format)->fetched; }
+
 bool has_buffer_form(ImageFormat format, Verb verb) {
   if (!verb_info(verb).of_image) return false;
   if (format == ImageFormat::kRg8Unorm) return verb == Verb::kFetch || verb == Verb::kStore2;

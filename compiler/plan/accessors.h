@@ -43,6 +43,9 @@ enum class AccessForm : uint8_t {
   kBuffer,  ///< texel buffers to read, storage buffers to write
 };
 
+/// The type of a fetched texel in a shader. The format is one that images of passes have.
+const char* fetched_type(ImageFormat format);
+
 /// A use that a shader makes of a binding.
 struct Use {
   Verb verb;

@@ -162,6 +162,27 @@ Result<std::optional<std::array<float, 2>>> parse_generates(const Fields& fields
   return std::optional(std::array{times[0].get<float>(), times[1].get<float>()});
 }
 
+/// "settles": the history whose tiles come to rest, and what exposes it.
+Result<FrameSettles> parse_settles(const Fields& fields, const Frame& frame) {
+  FrameSettles settles;
+  SHALE_TRY(settles.image, fields.text("image"));
+  if (std::none_of(frame.images.begin(), frame.images.end(), [&](const FrameImage& image) {
+        return image.name == settles.image && image.category == Category::kImageHistory &&
+               image.format == ImageFormat::kRgba16Float;
+      }))
+    return bad_input(fields.where(), "\"image\" is \"{}\", which is no history of rgba16_float",
+                     settles.image);
+  if (!fields.has("exposure")) return settles;
+  SHALE_TRY(settles.exposure, fields.text("exposure"));
+  if (std::none_of(frame.params.begin(), frame.params.end(), [&](const Param& param) {
+        return param.name == settles.exposure && param.source == ParamSource::kHost &&
+               !param.is_integer && param.components == 1;
+      }))
+    return bad_input(fields.where(), "\"exposure\" is \"{}\", which is no float of the host",
+                     settles.exposure);
+  return settles;
+}
+
 /// "sets": the passes once for each set of weights, and the values of a parameter that choose it.
 Result<void> parse_sets(const Fields& root, Frame& frame) {
   const Fields sets(root.json()["sets"], root.where() + ".sets");
@@ -279,6 +300,9 @@ Result<Frame> parse_frame(const std::string& text) {
       if (other.name == promise.name)
         return bad_input(fields.where(), "the name \"{}\" is used twice", promise.name);
     frame.promises.push_back(std::move(promise));
+  }
+  if (root.has("settles")) {
+    SHALE_TRY(frame.settles, parse_settles(Fields(json["settles"], "frame.settles"), frame));
   }
   if (root.has("passes") == root.has("programs"))
     return bad_input("frame", "either \"passes\" or \"programs\" must be there");

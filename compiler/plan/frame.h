@@ -104,6 +104,13 @@ inline constexpr const char* kBrokenImage = "broken";
 /// Behind the checks: the grids of passes that have another form, of which either is empty.
 inline constexpr const char* kGridsImage = "grids";
 
+/// How tiles of a frame may be left as they are.
+struct FrameSettles {
+  std::string image;  ///< a history rgba16_float: where it comes to rest
+  std::string
+      exposure;  ///< a parameter of the host, one float: a factor on its colours; may be empty
+};
+
 /// What is recorded at once.
 struct FrameProgram {
   std::string name;
@@ -128,6 +135,7 @@ struct Frame {
   std::vector<FrameImage> images;
   std::vector<FrameTensor> tensors;
   std::vector<FramePromise> promises;
+  std::optional<FrameSettles> settles;
   std::vector<FrameProgram> programs;  ///< at least one
   std::string chosen_by;               ///< the parameter that chooses among the programs, or empty
 };

@@ -253,7 +253,8 @@ class Iteration {
 
  private:
   static bool is_bounded(const Resource& resource) {
-    return resource.category == Category::kImageHistory ||
+    return (resource.category == Category::kImageHistory &&
+            resource.format != ImageFormat::kR32Uint) ||
            ((resource.category == Category::kInput || resource.category == Category::kOutput) &&
             resource.dtype == DType::kInt8);
   }

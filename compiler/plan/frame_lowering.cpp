@@ -7,79 +7,15 @@
 #include "compiler/plan/accessors.h"
 #include "compiler/plan/frame_bounds.h"
 #include "compiler/plan/frame_segments.h"
+#include "compiler/plan/run_pass.h"
+#include "compiler/plan/settled.h"
 
 namespace shale {
 namespace {
 
 constexpr const char* kAccessorFile = "generated_accessors.glsl";
-constexpr const char* kChoicePass = "choose_passes";
-
-std::string pass_label(const FramePass& pass) { return "pass \"" + pass.name + "\""; }
-
-Result<uint32_t> find_resource(const Variant& variant, const std::string& name,
-                               const std::string& where) {
-  for (uint32_t i = 0; i < variant.resources.size(); ++i) {
-    const Resource& resource = variant.resources[i];
-    if (resource.name == name && resource.category != Category::kWeights &&
-        resource.category != Category::kIntermediate)
-      return i;
-  }
-  return bad_input(where, "there is no image, graph input or output \"{}\"", name);
-}
 
 // --- what there is
-
-/// When a pass runs.
-enum class Runs : uint8_t { kAlways, kKept, kBroken };
-
-/// A pass, or one of the two forms of a pass.
-struct RunPass {
-  FramePass pass;
-  Runs runs = Runs::kAlways;
-  bool is_last_form = true;
-};
-
-/// The passes of a program as they run: where a promise is kept that some have forms for, the checks first.
-std::vector<RunPass> run_passes(const FrameProgram& program,
-                                std::span<const FramePromise* const> kept) {
-  std::vector<RunPass> passes;
-  bool has_forms = false;
-  for (const FramePass& pass : program.passes) {
-    RunPass special{pass, Runs::kKept};
-    bool is_left_out = false, has_form = false;
-    for (const FramePromise* promise : kept)
-      for (const PassForm& form : pass.forms) {
-        if (form.promise != promise->name) continue;
-        has_form = true;
-        is_left_out = is_left_out || form.is_left_out;
-        special.pass.name += "_" + promise->name;
-        special.pass.bindings = form.bindings;
-        for (const auto& define : form.defines) {
-          std::erase_if(special.pass.defines,
-                        [&](const auto& other) { return other.first == define.first; });
-          special.pass.defines.push_back(define);
-        }
-      }
-    passes.push_back({pass, has_form ? Runs::kBroken : Runs::kAlways, !has_form || is_left_out});
-    has_forms = has_forms || has_form;
-    if (!has_form || is_left_out) continue;
-    special.pass.clears.clear();  // what the full form cleared
-    passes.push_back(std::move(special));
-  }
-  if (!has_forms) return passes;
-  std::vector<RunPass> checked;
-  for (const FramePromise* promise : kept) checked.push_back({promise->check});
-  checked.front().pass.clears.push_back(kBrokenImage);
-  FramePass choice;
-  choice.name = kChoicePass;
-  choice.workgroup[0] = choice.workgroup[1] = 1;
-  choice.bindings = {{kBrokenImage, kBrokenImage, true, false, 0},
-                     {kGridsImage, kGridsImage, false, true, 0}};
-  checked.push_back({std::move(choice)});
-  checked.insert(checked.end(), std::make_move_iterator(passes.begin()),
-                 std::make_move_iterator(passes.end()));
-  return checked;
-}
 
 Result<void> add_images(Plan& plan, const LoweringOptions& options) {
   std::set<std::string> names;
@@ -198,12 +134,13 @@ IncludeLoader includes_of(const FramePass& pass, const ShaderLoader& load, std::
   };
 }
 
-Result<UsedPass> used_pass(const Variant& variant, const FramePass& pass, std::string glsl,
+Result<UsedPass> used_pass(const Variant& variant, const RunPass& run,
                            const LoweringOptions& options, bool is_linear) {
+  const FramePass& pass = run.pass;
   UsedPass used;
   used.pass = &pass;
   ModuleSource& source = used.source;
-  source.glsl = std::move(glsl);
+  source.glsl = run.glsl;
   source.where = pass.shader.empty() ? pass.name : pass.shader;
   source.defines = pass_defines(variant, pass);
   source.defines.emplace_back("SHALE_LINEAR", is_linear ? "1" : "0");
@@ -338,22 +275,6 @@ Result<void> add_clears(Plan& plan, uint32_t program, const FramePass& pass,
   return {};
 }
 
-/// Pixels of what the pass goes over.
-Result<FrameExtent> grid_of(const Variant& variant, const FramePass& pass,
-                            const LoweringOptions& options) {
-  if (pass.over_size) return (*pass.over_size)(options.render, options.output);
-  for (const Resource& resource : variant.resources) {
-    if (resource.name != pass.over) continue;
-    if (is_image(resource.category)) return FrameExtent{resource.width, resource.height};
-    if (resource.shape.size() == 4 && resource.shape[1] <= kMaxImageExtent &&
-        resource.shape[2] <= kMaxImageExtent)
-      return FrameExtent{static_cast<uint32_t>(resource.shape[2]),
-                         static_cast<uint32_t>(resource.shape[1])};
-  }
-  return bad_input(pass_label(pass), "there is no image, graph input or output \"{}\" to go over",
-                   pass.over);
-}
-
 /// The output that shows an image, if one does.
 std::optional<uint32_t> shown_as(const Variant& variant, const Frame& frame,
                                  const std::string& image) {
@@ -364,43 +285,13 @@ std::optional<uint32_t> shown_as(const Variant& variant, const Frame& frame,
   return std::nullopt;
 }
 
-Result<std::array<uint32_t, 3>> workgroups_of(const Variant& variant, const FramePass& pass,
-                                              const LoweringOptions& options) {
-  SHALE_TRY(const FrameExtent grid, grid_of(variant, pass, options));
-  return std::array{(grid.width + pass.workgroup[0] - 1) / pass.workgroup[0],
-                    (grid.height + pass.workgroup[1] - 1) / pass.workgroup[1], 1u};
-}
-
-/// The shader that chooses between the forms of passes: the n-th of those that do not always run has three words from
-/// 3 * n on.
-Result<std::string> choice_shader(const Variant& variant, std::span<const RunPass> passes,
-                                  const LoweringOptions& options) {
-  std::string stores;
-  size_t word = 0;
-  for (const RunPass& each : passes) {
-    if (each.runs == Runs::kAlways) continue;
-    SHALE_TRY(const auto workgroups, workgroups_of(variant, each.pass, options));
-    for (const uint32_t count : workgroups)
-      stores += fmt::format("  store_{}(ivec2({}, 0), {}kept ? {}u : 0u);\n", kGridsImage, word++,
-                            each.runs == Runs::kKept ? "" : "!", count);
-  }
-  return fmt::format(R"(#version 450
-#include "access.glsl"
-layout(local_size_x = 1) in;
-void main() {{
-  const bool kept = fetch_{}(ivec2(0)) == 0u;
-{}}}
-)",
-                     kBrokenImage, stores);
-}
-
 /// The images of promises, where some pass of the programs has a form for one.
 void add_promise(Plan& plan, std::span<const std::vector<RunPass>> programs,
                  const LoweringOptions& options) {
   std::ptrdiff_t most = 0;
   for (const std::vector<RunPass>& passes : programs)
     most = std::max(most, std::count_if(passes.begin(), passes.end(), [](const RunPass& each) {
-                      return each.runs != Runs::kAlways;
+                      return each.runs != Runs::kInAllFrames;
                     }));
   if (most == 0) return;
   Resource broken;
@@ -421,20 +312,49 @@ void add_promise(Plan& plan, std::span<const std::vector<RunPass>> programs,
   plan.variant.resources.push_back(std::move(grids));
 }
 
+/// What a pass has beside its accessors: buffers by their numbers alone, and which invocation it is.
+std::string own_accessors(const RunPass& runs, std::vector<Binding>& bindings) {
+  std::string text =
+      fmt::format("#define FREE_BINDING {}\n", static_cast<uint32_t>(bindings.size()));
+  const auto bind = [&](Binding binding) {
+    binding.binding = static_cast<uint32_t>(bindings.size());
+    bindings.push_back(binding);
+    return binding.binding;
+  };
+  for (const Binding& each : runs.buffers) bind(each);
+  if (!runs.list) return text + "uvec2 invocation() { return gl_GlobalInvocationID.xy; }\n";
+  const uint32_t number = bind({.binding = 0,
+                                .type = BindingType::kStorageBuffer,
+                                .resource = runs.list->resource,
+                                .view_format = ImageFormat::kNone,
+                                .reads = true,
+                                .writes = false,
+                                .frames_back = 0});
+  return text +
+         fmt::format(
+             "layout(set = 0, binding = {}, std430) readonly buffer Running {{ uint d[]; }} "
+             "running;\nuvec2 invocation() {{ const uint own = running.d[{} + "
+             "gl_WorkGroupID.x]; return uvec2(own % {}u, own / {}u) * uvec2(LOCAL_X, LOCAL_Y) + "
+             "gl_LocalInvocationID.xy; }}\n",
+             number, runs.list->first, runs.list->columns, runs.list->columns);
+}
+
 Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const RunPass& runs,
                       uint32_t first_word, const Places& places, const LoweringOptions& options) {
   const FramePass& pass = *used.pass;
   Dispatch dispatch;
   dispatch.kernel = "pass";
-  if (runs.runs != Runs::kAlways) {
+  if (runs.runs != Runs::kInAllFrames) {
     SHALE_TRY(const uint32_t grids, find_resource(plan.variant, kGridsImage, pass_label(pass)));
     dispatch.indirect = IndirectGrid{grids, first_word};
   }
-  if (pass.shader.empty()) {
-    dispatch.workgroups = {1, 1, 1};
-  } else {
+  if (runs.grid) dispatch.indirect = runs.grid;
+  if (!pass.shader.empty()) {
     SHALE_TRY(dispatch.workgroups, workgroups_of(plan.variant, pass, options));
+  } else if (runs.workgroups) {
+    dispatch.workgroups = *runs.workgroups;
   }
+  if (runs.list) dispatch.workgroups = {dispatch.workgroups[0] * dispatch.workgroups[1], 1, 1};
   std::string accessors;
   std::vector<std::pair<uint32_t, uint32_t>> shows;
   for (size_t b = 0; b < pass.bindings.size(); ++b) {
@@ -462,6 +382,7 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const RunPass
     SHALE_TRY(const std::string text, accessor_text(accessed, dispatch.bindings, pass_label(pass)));
     accessors += text;
   }
+  accessors += own_accessors(runs, dispatch.bindings);
   if (std::any_of(dispatch.bindings.begin(), dispatch.bindings.end(),
                   [](const Binding& binding) { return binding.binding >= kMaxBindings; }))
     return bad_input(pass_label(pass), "needs {} bindings, expected at most {}",
@@ -483,7 +404,8 @@ Result<void> add_pass(Plan& plan, uint32_t program, UsedPass used, const RunPass
   add_segment(plan, SegmentKind::kCompute, program, pass.name, std::move(dispatch),
               options.profile);
   // What is expected to run is what is paid for.
-  if (runs.runs == Runs::kBroken) plan.variant.segments.back().dispatches.back().cost = {};
+  if (runs.runs == Runs::kBroken || runs.is_rare)
+    plan.variant.segments.back().dispatches.back().cost = {};
   if (!runs.is_last_form) return {};
   for (const auto& [from, to] : shows) add_copy(plan, program, from, to, options.profile);
   return {};
@@ -534,16 +456,20 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
   for (const FrameProgram& program : frame.programs)
     runs.push_back(run_passes(program, options.kept));
   add_promise(plan, runs, options);
+  for (std::vector<RunPass>& program : runs)
+    for (RunPass& each : program) {
+      if (!each.pass.graph.empty()) continue;
+      SHALE_TRY(each.glsl, each.pass.shader.empty() ? choice_shader(variant, program, options)
+                                                    : options.load_shader(each.pass.shader));
+    }
   const bool is_linear = prefers_buffers(variant, options.profile);
+  if (frame.settles && options.tiles.value_or(0) > 0)
+    SHALE_TRY_VOID(settle(plan, runs, options, is_linear, weights));
   std::vector<UsedPass> passes;
   for (const std::vector<RunPass>& program : runs)
     for (const RunPass& each : program) {
       if (!each.pass.graph.empty()) continue;
-      SHALE_TRY(std::string glsl, each.pass.shader.empty()
-                                      ? choice_shader(variant, program, options)
-                                      : options.load_shader(each.pass.shader));
-      SHALE_TRY(UsedPass used, used_pass(variant, each.pass, std::move(glsl), options, is_linear));
-      passes.push_back(std::move(used));
+      SHALE_TRY(passes.emplace_back(), used_pass(variant, each, options, is_linear));
     }
   const Places places = choose_places(plan, passes, is_linear);
 
@@ -578,7 +504,7 @@ Result<void> lower_frame(Plan& plan, std::span<const PlannedGraph> graphs,
       }
       SHALE_TRY_VOID(add_clears(plan, index, pass, options.profile));
       SHALE_TRY_VOID(add_pass(plan, index, std::move(*used++), each, first_word, places, options));
-      if (each.runs != Runs::kAlways) first_word += 3;
+      if (each.runs != Runs::kInAllFrames) first_word += 3;
     }
   }
   SHALE_TRY(variant.bounds, frame_bounds(variant, frame, graphs));

@@ -24,6 +24,7 @@ struct LoweringOptions {
   ShaderLoader load_shader;
   const DeviceProfile& profile;
   std::span<const FramePromise* const> kept = {};  ///< promises of the frame
+  std::optional<uint32_t> tiles = {};              ///< as in CompileOptions
 };
 
 /// Plans all programs of a frame: images, passes, copies and the graphs, which lie in the order of graph_files().

@@ -210,15 +210,15 @@ class TileDispatches {
           keep_source(own, tiles_.lists[i]),
           {buffer_binding(0, now[i], true, false), buffer_binding(1, copies[i], false, true),
            buffer_binding(2, work, true, false)});
-      segment_.dispatches.back().command_bytes = 4 * TilePlan::command(i);
+      segment_.dispatches.back().indirect = IndirectGrid{work, TilePlan::command(i)};
       tensors_.replace(graph.inputs[i], copies[i]);
     }
   }
 
   uint32_t work() const { return segment_.tiles->work; }
   /// Of the dispatch with this number among those that run by commands.
-  uint32_t command_bytes(size_t index) const {
-    return 4 * TilePlan::command(tiles_.inputs.size() + index);
+  IndirectGrid grid(size_t index) const {
+    return {work(), TilePlan::command(tiles_.inputs.size() + index)};
   }
   uint32_t list(size_t index) const { return tiles_.lists[tiles_.inputs.size() + index]; }
 
@@ -379,7 +379,7 @@ Result<void> plan_graph(Plan& plan, const PlannedGraph& graph, uint32_t program,
       plan.work.push_back(work);
       Defines defines;
       if (tiles && !is_always_made(problem)) {
-        dispatch.command_bytes = tiles->command_bytes(commands);
+        dispatch.indirect = tiles->grid(commands);
         if (source.cells)
           defines.emplace_back("SHALE_LIST", fmt::format("{}", tiles->list(commands)));
         ++commands;

@@ -67,10 +67,9 @@ std::string dispatch_text(const Dispatch& dispatch, const Segment& segment, cons
   std::string text = fmt::format("  {} {}: {}", number, dispatch.name, dispatch.kernel);
   if (segment.kind != SegmentKind::kTransfer) text += fmt::format(" {}x{}x{}", x, y, z);
   if (dispatch.indirect)
-    text += fmt::format(" or none, by words {} to {} of {}", dispatch.indirect->first,
+    text += fmt::format(" at most, by words {} to {} of {}", dispatch.indirect->first,
                         dispatch.indirect->first + 2,
                         plan.variant.resources[dispatch.indirect->resource].name);
-  if (dispatch.command_bytes) text += fmt::format(" by command at {}", *dispatch.command_bytes);
   text += '\n';
   text += bindings_text(dispatch, plan);
   for (const auto& [index, form] : segment.start_forms)

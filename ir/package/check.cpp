@@ -35,9 +35,9 @@ Result<void> check_unique_name(const std::string& where, const char* what, const
 }
 
 /// Of a history of images or tensors.
-Result<void> check_depth(const std::string& where, uint32_t depth) {
-  if (depth < 2 || depth > kMaxHistoryDepth)
-    return bad_input(where, "history depth {} is outside 2..{}", depth, kMaxHistoryDepth);
+Result<void> check_depth(const std::string& where, uint32_t depth, uint32_t least) {
+  if (depth < least || depth > kMaxHistoryDepth)
+    return bad_input(where, "history depth {} is outside {}..{}", depth, least, kMaxHistoryDepth);
   return {};
 }
 
@@ -78,7 +78,7 @@ Result<void> check_tensor(const std::string& where, const Resource& tensor, cons
   if (tensor.history_depth != 0) {
     if (tensor.category != Category::kInput && tensor.category != Category::kOutput)
       return bad_input(where, "only inputs and outputs can be histories");
-    SHALE_TRY_VOID(check_depth(where, tensor.history_depth));
+    SHALE_TRY_VOID(check_depth(where, tensor.history_depth, 2));
   }
   if (tensor.category == Category::kIntermediate)
     return check_range(where, tensor, "arena", variant.arena_bytes);
@@ -113,7 +113,7 @@ Result<void> check_image(const std::string& where, const Resource& image) {
       return bad_input(where, "size is {} bytes, the extent makes {}", image.size_bytes, bytes);
   }
   const bool history = image.category == Category::kImageHistory;
-  if (history) SHALE_TRY_VOID(check_depth(where, image.history_depth));
+  if (history) SHALE_TRY_VOID(check_depth(where, image.history_depth, 1));
   if (!history && image.history_depth != 0)
     return bad_input(where, "history depth {} of an image that is no history", image.history_depth);
   return {};
@@ -252,25 +252,29 @@ Result<void> check_transfer(const std::string& where, const Dispatch& transfer,
 }
 
 Result<void> check_indirect(const std::string& where, const IndirectGrid& grid,
-                            const Variant& variant, SegmentKind segment) {
-  if (segment != SegmentKind::kCompute)
-    return bad_input(where, "has a grid of the device outside of a compute segment");
+                            const Variant& variant, const Segment& segment) {
+  if (segment.kind == SegmentKind::kTransfer)
+    return bad_input(where, "has a grid of the device, and is a transfer");
   if (grid.resource >= variant.resources.size())
     return bad_input(where, "grid: resource {} does not exist, there are {}", grid.resource,
                      variant.resources.size());
   const Resource& words = variant.resources[grid.resource];
-  if (!is_linear(words) || words.category != Category::kImageInternal ||
-      words.format != ImageFormat::kR32Uint)
+  const bool is_work = segment.tiles && grid.resource == segment.tiles->work;
+  if (segment.kind == SegmentKind::kGraph && !is_work)
+    return bad_input(where, "grid: \"{}\" is not the work of its segment's tiles", words.name);
+  if (!is_work && (!is_linear(words) || words.category != Category::kImageInternal ||
+                   words.format != ImageFormat::kR32Uint))
     return bad_input(where, "grid: \"{}\" is no linear r32_uint image of the frame loop's own",
                      words.name);
-  if (grid.first > words.size_bytes / 4 - 3)
+  if (words.size_bytes < 12 || grid.first > words.size_bytes / 4 - 3)
     return bad_input(where, "grid: words {} to {} leave the {} of \"{}\"", grid.first,
                      uint64_t{grid.first} + 2, words.size_bytes / 4, words.name);
   return {};
 }
 
 Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
-                            const Variant& variant, SegmentKind segment) {
+                            const Variant& variant, const Segment& of) {
+  const SegmentKind segment = of.kind;
   SHALE_TRY_VOID(check_name(where, "kernel name", dispatch.kernel));
   if (segment != SegmentKind::kTransfer && dispatch.module >= variant.modules.size())
     return bad_input(where, "module {} does not exist, there are {}", dispatch.module,
@@ -290,42 +294,29 @@ Result<void> check_dispatch(const std::string& where, const Dispatch& dispatch,
   }
   if (samplers > kMaxSamplers)
     return bad_input(where, "has {} samplers, more than {}", samplers, kMaxSamplers);
-  if (dispatch.indirect)
-    SHALE_TRY_VOID(check_indirect(where, *dispatch.indirect, variant, segment));
+  if (dispatch.indirect) SHALE_TRY_VOID(check_indirect(where, *dispatch.indirect, variant, of));
   if (segment == SegmentKind::kTransfer) SHALE_TRY_VOID(check_transfer(where, dispatch, variant));
   if (!(std::isfinite(dispatch.cost.time_us) && dispatch.cost.time_us >= 0))
     return bad_input(where, "predicted time {} is not a duration", dispatch.cost.time_us);
   return {};
 }
 
-/// What a segment finds out about its inputs, and the commands by which its dispatches run.
+/// What a segment finds out about its inputs.
 Result<void> check_tiles(const std::string& where, const Segment& segment, const Variant& variant) {
-  uint64_t work_bytes = 0;
-  if (segment.tiles) {
-    if (segment.kind != SegmentKind::kGraph)
-      return bad_input(where, "works by tiles, which only graph segments can");
-    if (segment.tiles->tolerance > kMaxTileTolerance)
-      return bad_input(where, "a tolerance of {} codes is above {}", segment.tiles->tolerance,
-                       kMaxTileTolerance);
-    for (const uint32_t index : {segment.tiles->changes, segment.tiles->work}) {
-      if (index >= variant.resources.size())
-        return bad_input(where, "resource {} of its tiles does not exist, there are {}", index,
-                         variant.resources.size());
-      const Resource& resource = variant.resources[index];
-      if (resource.category != Category::kIntermediate || resource.dtype != DType::kInt32)
-        return bad_input(where, "\"{}\" of its tiles is no intermediate tensor of INT32",
-                         resource.name);
-    }
-    work_bytes = variant.resources[segment.tiles->work].size_bytes;
-  }
-  for (const Dispatch& dispatch : segment.dispatches) {
-    if (!dispatch.command_bytes) continue;
-    const std::string at = fmt::format("{}, dispatch \"{}\"", where, dispatch.name);
-    if (!segment.tiles) return bad_input(at, "has a command, and its segment has no tiles");
-    if (*dispatch.command_bytes % 4 != 0 || uint64_t{*dispatch.command_bytes} + 12 > work_bytes)
-      return bad_input(at, "a command at byte {} is unaligned or leaves the {} bytes of \"{}\"",
-                       *dispatch.command_bytes, work_bytes,
-                       variant.resources[segment.tiles->work].name);
+  if (!segment.tiles) return {};
+  if (segment.kind != SegmentKind::kGraph)
+    return bad_input(where, "works by tiles, which only graph segments can");
+  if (segment.tiles->tolerance > kMaxTileTolerance)
+    return bad_input(where, "a tolerance of {} codes is above {}", segment.tiles->tolerance,
+                     kMaxTileTolerance);
+  for (const uint32_t index : {segment.tiles->changes, segment.tiles->work}) {
+    if (index >= variant.resources.size())
+      return bad_input(where, "resource {} of its tiles does not exist, there are {}", index,
+                       variant.resources.size());
+    const Resource& resource = variant.resources[index];
+    if (resource.category != Category::kIntermediate || resource.dtype != DType::kInt32)
+      return bad_input(where, "\"{}\" of its tiles is no intermediate tensor of INT32",
+                       resource.name);
   }
   return {};
 }
@@ -355,9 +346,9 @@ Result<void> check_start_forms(const std::string& where, const Segment& segment,
                        index);
     const Dispatch& own = segment.dispatches[index];
     const std::string at = fmt::format("{}, start form of \"{}\"", where, own.name);
-    if (form.name != own.name || form.command_bytes || form.indirect)
+    if (form.name != own.name || form.indirect)
       return bad_input(at, "has another name, or a grid of the device");
-    SHALE_TRY_VOID(check_dispatch(at, form, variant, segment.kind));
+    SHALE_TRY_VOID(check_dispatch(at, form, variant, segment));
     if (touched_tensors(form, variant) != touched_tensors(own, variant))
       return bad_input(at, "reads or writes other tensors than the dispatch");
   }
@@ -640,14 +631,14 @@ Result<void> check_variant(const std::string& where, const Variant& variant,
     SHALE_TRY_VOID(check_unique_name(at, "segment name", segment.name, segment_names));
     if (segment.kind > SegmentKind::kTransfer)
       return bad_input(at, "segment kind {} does not exist", static_cast<uint32_t>(segment.kind));
+    SHALE_TRY_VOID(check_tiles(at, segment, variant));
     for (size_t d = 0; d < segment.dispatches.size(); ++d) {
       const Dispatch& dispatch = segment.dispatches[d];
       SHALE_TRY_VOID(check_unique_name(fmt::format("{}, dispatch {}", at, d), "dispatch name",
                                        dispatch.name, dispatch_names));
       SHALE_TRY_VOID(check_dispatch(fmt::format("{}, dispatch \"{}\"", where, dispatch.name),
-                                    dispatch, variant, segment.kind));
+                                    dispatch, variant, segment));
     }
-    SHALE_TRY_VOID(check_tiles(at, segment, variant));
     SHALE_TRY_VOID(check_start_forms(at, segment, variant));
   }
   SHALE_TRY_VOID(check_programs(where, variant));

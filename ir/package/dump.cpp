@@ -80,9 +80,8 @@ void dump_segment(std::string& text, const Segment& segment, const Variant& vari
          variant.resources[segment.tiles->changes].name,
          variant.resources[segment.tiles->work].name, segment.tiles->tolerance);
   for (const Dispatch& d : segment.dispatches) {
-    line(text, "    \"{}\": {} module {} grid {}x{}x{}{}", d.name, d.kernel, d.module,
-         d.workgroups[0], d.workgroups[1], d.workgroups[2],
-         d.command_bytes ? fmt::format(", by the command at {}", *d.command_bytes) : "");
+    line(text, "    \"{}\": {} module {} grid {}x{}x{}", d.name, d.kernel, d.module,
+         d.workgroups[0], d.workgroups[1], d.workgroups[2]);
     if (d.indirect)
       line(text, "      as many as words {}..{} of \"{}\" say", d.indirect->first,
            d.indirect->first + 2, variant.resources[d.indirect->resource].name);

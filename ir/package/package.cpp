@@ -86,8 +86,7 @@ Offset<fbs::Dispatch> write_dispatch(Builder& builder, const Dispatch& d) {
   const fbs::IndirectGrid indirect =
       d.indirect ? fbs::IndirectGrid(d.indirect->resource, d.indirect->first) : fbs::IndirectGrid();
   return fbs::CreateDispatch(builder, name, kernel, d.module, &grid, bindings, cost,
-                             d.indirect ? &indirect : nullptr, d.command_bytes.has_value(),
-                             d.command_bytes.value_or(0));
+                             d.indirect ? &indirect : nullptr);
 }
 
 Offset<fbs::StartForm> write_start_form(Builder& builder, const StartForm& s) {
@@ -270,7 +269,6 @@ Dispatch read_dispatch(Copier& copy, const fbs::Dispatch& d) {
                    cost.time_us()};
   if (const fbs::IndirectGrid* g = d.indirect())
     dispatch.indirect = IndirectGrid{g->resource(), g->first()};
-  if (d.has_command()) dispatch.command_bytes = d.command_bytes();
   return dispatch;
 }
 
@@ -455,24 +453,26 @@ uint32_t chosen_program(const Variant& variant, std::span<const float> value) {
   return nearest;
 }
 
-uint32_t command_words(const Segment& segment) {
-  uint32_t words = 0;
-  for (const Dispatch& dispatch : segment.dispatches)
-    if (dispatch.command_bytes) words = std::max(words, *dispatch.command_bytes / 4 + 3);
-  return words;
+std::vector<IndirectGrid> indirect_grids(std::span<const Segment> segments) {
+  std::vector<IndirectGrid> grids;
+  for (const Segment& segment : segments)
+    for (const Dispatch& dispatch : segment.dispatches)
+      if (dispatch.indirect) grids.push_back(*dispatch.indirect);
+  return grids;
 }
 
-double share_run(const Segment& segment, std::span<const uint32_t> work) {
+double share_run(std::span<const Segment> segments, std::span<const uint32_t> words) {
   double run = 0, all = 0;
-  for (const Dispatch& dispatch : segment.dispatches) {
-    double share = 1;
-    if (dispatch.command_bytes)
-      for (size_t axis = 0; axis < 3; ++axis)
-        share *= static_cast<double>(work[*dispatch.command_bytes / 4 + axis]) /
-                 static_cast<double>(dispatch.workgroups[axis]);
-    run += share * dispatch.cost.time_us;
-    all += dispatch.cost.time_us;
-  }
+  size_t word = 0;
+  for (const Segment& segment : segments)
+    for (const Dispatch& dispatch : segment.dispatches) {
+      double share = 1;
+      if (dispatch.indirect)
+        for (const uint32_t whole : dispatch.workgroups)
+          share *= static_cast<double>(words[word++]) / static_cast<double>(whole);
+      run += share * dispatch.cost.time_us;
+      all += dispatch.cost.time_us;
+    }
   return all > 0 ? run / all : 1;
 }
 

@@ -46,7 +46,7 @@ enum class Category : uint8_t {
   kImageInput = 4,     ///< image given by the host each frame
   kImageOutput = 5,    ///< image given by the host each frame
   kImageInternal = 6,  ///< image of the frame loop, lives within a frame
-  kImageHistory = 7,   ///< ring of images of the frame loop, `history_depth` long
+  kImageHistory = 7,   ///< ring of images of the frame loop, `history_depth` long; of one: kept
 };
 inline constexpr uint32_t kCategoryCount = 8;
 
@@ -105,8 +105,8 @@ struct Resource {
   // Images:
   ImageFormat format = ImageFormat::kNone;
   uint32_t width = 0, height = 0;
-  /// kImageHistory: number of images in the ring, at least 2. kInput, kOutput: the same of tensors,
-  /// or 0 for a single one.
+  /// kImageHistory: number of images in the ring; of one image, what a frame leaves is what the next one
+  /// finds and may update. kInput, kOutput: the same of tensors, at least 2, or 0 for a single one.
   uint32_t history_depth = 0;
   bool operator==(const Resource&) const = default;
 };
@@ -173,7 +173,7 @@ struct Cost {
 };
 
 /// A grid that an earlier dispatch of the program writes: three words from word `first` on of a linear
-/// r32_uint image of the frame loop's own.
+/// r32_uint image of the frame loop's own, or of Tiles::work of the dispatch's segment.
 struct IndirectGrid {
   uint32_t resource = 0;  ///< index into Variant::resources
   uint32_t first = 0;
@@ -188,10 +188,7 @@ struct Dispatch {
                                      1};  ///< with `indirect` the largest that is written there
   std::vector<Binding> bindings;
   Cost cost;
-  std::optional<IndirectGrid> indirect{};  ///< only in kCompute segments
-  /// In a segment with Tiles: bytes from the start of Tiles::work to the VkDispatchIndirectCommand that says
-  /// how much of the grid runs; `workgroups` is all of it. Nothing: all of it always runs.
-  std::optional<uint32_t> command_bytes = std::nullopt;
+  std::optional<IndirectGrid> indirect{};  ///< nothing: all of the grid always runs
   bool operator==(const Dispatch&) const = default;
 };
 
@@ -356,12 +353,11 @@ struct Variant {
 /// The segments of a program, in order. The variant must pass check_package.
 std::span<const Segment> program_segments(const Variant& variant, uint32_t program);
 
-/// The share of a segment's predicted time that its last run took, from 0 to 1: by the commands that its
-/// dispatches found in Tiles::work, of which `work` are the first words, as many as command_words. What
-/// has no command counts whole. The segment has Tiles.
-double share_run(const Segment& segment, std::span<const uint32_t> work);
-/// Words from the start of Tiles::work to behind the last command.
-uint32_t command_words(const Segment& segment);
+/// Where the dispatches with `indirect` find their grids, in order.
+std::vector<IndirectGrid> indirect_grids(std::span<const Segment> segments);
+/// The share of the segments' predicted time that a run took, from 0 to 1: by the three words that each of
+/// the indirect_grids held. What has none counts whole.
+double share_run(std::span<const Segment> segments, std::span<const uint32_t> words);
 
 /// The program whose values in Variant::choices lie nearest to the parameter's, the first of equal
 /// ones; 0 where no parameter chooses. The variant must pass check_package.

@@ -27,12 +27,12 @@ std::vector<bool> plan_barriers(std::span<const std::vector<Access>> dispatches)
   return plan;
 }
 
-std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch,
-                             const std::optional<Tiles>& tiles) {
+std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch) {
   constexpr uint64_t kArena = 0;
   std::vector<Access> result;
   std::vector<Binding> bindings = dispatch.bindings;
-  if (dispatch.command_bytes) bindings.push_back({.resource = tiles->work, .reads = true});
+  if (dispatch.indirect)
+    bindings.push_back({.resource = dispatch.indirect->resource, .reads = true});
   for (const Binding& binding : bindings) {
     const Resource& resource = variant.resources[binding.resource];
     if (resource.category == Category::kWeights) continue;
@@ -45,9 +45,6 @@ std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch,
     }
     result.push_back(access);
   }
-  if (dispatch.indirect)
-    result.push_back(
-        {(uint64_t{dispatch.indirect->resource} + 1) * kMaxHistoryDepth, 0, 1, true, false});
   return result;
 }
 

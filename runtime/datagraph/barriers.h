@@ -29,9 +29,8 @@ std::vector<bool> plan_barriers(std::span<const std::vector<Access>> dispatches)
 
 /// What a dispatch touches: tensors of the arena by their bytes in one common memory, so that
 /// tensors which share bytes are seen; any other tensor or image, and each image of a history, as a
-/// memory of its own. Weights never change and are left out. `tiles` are the segment's; a command is read, too. The
+/// memory of its own. Weights never change and are left out. An indirect grid is read, too. The
 /// variant must pass check_package.
-std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch,
-                             const std::optional<Tiles>& tiles = {});
+std::vector<Access> accesses(const Variant& variant, const Dispatch& dispatch);
 
 }  // namespace shale

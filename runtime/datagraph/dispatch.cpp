@@ -119,7 +119,7 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
         dispatches.push_back({&segment, &dispatch, is_graph ? 0 : param_bytes(variant)});
         if (start != segment.start_forms.end() && &segment.dispatches[start->dispatch] == &dispatch)
           dispatches.back().start = &(start++)->form;
-        touched.push_back(accesses(result->variant_, dispatch, segment.tiles));
+        touched.push_back(accesses(result->variant_, dispatch));
       }
     }
     std::ranges::copy(plan_barriers(touched), std::back_inserter(barriers));
@@ -471,9 +471,6 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<co
       const Target words = target(Binding{.resource = indirect->resource});
       vk.CmdDispatchIndirect(commands, words.buffer,
                              words.offset + sizeof(uint32_t) * indirect->first);
-    } else if (step.dispatch->command_bytes) {
-      const Target work = target({.resource = tiles->work});
-      vk.CmdDispatchIndirect(commands, work.buffer, work.offset + *step.dispatch->command_bytes);
     } else {
       const std::array<uint32_t, 3>& grid = step.dispatch->workgroups;
       vk.CmdDispatch(commands, grid[0], grid[1], grid[2]);

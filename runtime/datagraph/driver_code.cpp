@@ -34,8 +34,7 @@ Package alone(const Variant& variant, const DriverWork& work, uint64_t weight_by
       {.name = work.segment->name, .dispatches = {*work.dispatch}, .tiles = work.segment->tiles}};
   Dispatch& own = only.segments.front().dispatches.front();
   own.module = 0;
-  own.command_bytes
-      .reset();  // no other dispatch writes it: the first cell, which a list of zeros names
+  own.indirect.reset();  // no other dispatch writes it: the first cell, which a list of zeros names
   own.workgroups = {1, 1, 1};
   return package;
 }

@@ -148,7 +148,7 @@ Result<TensorView> Session::commands() const {
   if (!segment->tiles) return bad_input("", "the graph does not work by tiles");
   if (!state_->arena_bound) return bad_input("arena", "has no memory yet");
   return TensorView{state_->arena.get(), state_->offsets[segment->tiles->work],
-                    uint64_t{command_words(*segment)} * sizeof(uint32_t)};
+                    state_->kernels->variant().resources[segment->tiles->work].size_bytes};
 }
 
 }  // namespace shale

@@ -94,8 +94,7 @@ class Session {
   /// The next record of a graph that works by tiles runs all of it, as the first one does and that behind a bind_tensor.
   void run_all();
 
-  /// Where the commands of a graph that works by tiles lie, for share_run: command_words words. The buffer allows
-  /// transfers.
+  /// Tiles::work of a graph that works by tiles, where its indirect_grids lie. The buffer allows transfers.
   /// Errors: kBadInput if it does not, or has no memory yet.
   Result<TensorView> commands() const;
 

@@ -15,6 +15,7 @@ constexpr uint32_t kMaxFramesInFlight = 8;
 /// Of the tensors of all graphs together: keeps sums of stated sizes far from an overflow.
 constexpr uint64_t kMaxTensorPoolBytes = uint64_t{1} << 48;
 constexpr uint64_t kMaxFrames = uint64_t{1} << 24;  // that are counted; a float holds it
+constexpr uint64_t kGridBytes = 3 * sizeof(uint32_t);
 constexpr VkImageUsageFlags kShaderUsages = VK_IMAGE_USAGE_SAMPLED_BIT | VK_IMAGE_USAGE_STORAGE_BIT;
 
 /// Leads to different memory in different records, so its set depends on the record.
@@ -22,7 +23,7 @@ bool changes(const Step& step, const Variant& variant) {
   if (step.is_transfer) return false;  // has no set
   return std::ranges::any_of(step.dispatch->bindings, [&](const Binding& binding) {
     const Resource& resource = variant.resources[binding.resource];
-    return is_host_image(resource.category) || resource.history_depth != 0;
+    return is_host_image(resource.category) || resource.history_depth > 1;
   });
 }
 
@@ -39,7 +40,7 @@ struct Slot {
   std::vector<size_t> own_sets;     // those that no other slot has, as indices of descriptors
   std::vector<uint32_t> positions;  // of the program's histories when own_sets were written
   uint64_t bindings = 0;            // State::bindings when they were written; 0 is never
-  vk::Buffer commands;              // what the segments with Tiles ran by, one behind the other
+  vk::Buffer commands;              // of a program with Tiles: what its indirect_grids held
 };
 
 struct Program {
@@ -247,13 +248,12 @@ Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
 
 Result<void> FrameLoop::State::create_command_copies() {
   for (Program& program : programs) {
-    uint64_t words = 0;
-    for (const Segment& segment : segments(program))
-      if (segment.tiles) words += command_words(segment);
-    if (words == 0) continue;
+    if (std::ranges::none_of(segments(program), [](const Segment& each) { return !!each.tiles; }))
+      continue;
     for (Slot& slot : program.slots) {
       SHALE_TRY(slot.commands,
-                vk::Buffer::create(kernels->context(), words * sizeof(uint32_t),
+                vk::Buffer::create(kernels->context(),
+                                   indirect_grids(segments(program)).size() * kGridBytes,
                                    VK_BUFFER_USAGE_TRANSFER_DST_BIT, vk::MemoryKind::kReadback));
     }
   }
@@ -364,12 +364,11 @@ void FrameLoop::State::copy_commands(VkCommandBuffer commands, const Program& pr
                                      const Slot& slot) const {
   kernels->barrier(commands);
   uint64_t at = 0;
-  for (const Segment& segment : segments(program)) {
-    if (!segment.tiles) continue;
-    const VkBufferCopy copy{offsets[segment.tiles->work], at,
-                            uint64_t{command_words(segment)} * sizeof(uint32_t)};
-    kernels->context().vk.CmdCopyBuffer(commands, arena.get(), slot.commands.get(), 1, &copy);
-    at += copy.size;
+  for (const IndirectGrid& grid : indirect_grids(segments(program))) {
+    const Target words = target(program, {.resource = grid.resource});
+    const VkBufferCopy copy{words.offset + grid.first * sizeof(uint32_t), at, kGridBytes};
+    kernels->context().vk.CmdCopyBuffer(commands, words.buffer, slot.commands.get(), 1, &copy);
+    at += kGridBytes;
   }
   vk::memory_barrier(kernels->context(), commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
                      VK_ACCESS_TRANSFER_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
@@ -542,17 +541,10 @@ std::optional<double> FrameLoop::share_run(uint32_t records_ago) const {
   if (records_ago >= program.slots.size() || records_ago >= program.records) return std::nullopt;
   const Slot& slot = program.slots[(program.records - 1 - records_ago) % program.slots.size()];
   if (!slot.commands) return std::nullopt;
-  const uint32_t* words = reinterpret_cast<const uint32_t*>(slot.commands.mapped().data());
-  double run = 0, all = 0;
-  for (const Segment& segment : state_->segments(program)) {
-    if (!segment.tiles) continue;
-    double time_us = 0;
-    for (const Dispatch& dispatch : segment.dispatches) time_us += dispatch.cost.time_us;
-    run += time_us * shale::share_run(segment, {words, command_words(segment)});
-    all += time_us;
-    words += command_words(segment);
-  }
-  return all > 0 ? run / all : 1;
+  const std::span<const uint8_t> bytes = slot.commands.mapped();
+  return shale::share_run(
+      state_->segments(program),
+      {reinterpret_cast<const uint32_t*>(bytes.data()), bytes.size() / sizeof(uint32_t)});
 }
 
 uint64_t FrameLoop::frame() const { return state_->frame; }

@@ -12,16 +12,8 @@ layout(set = 0, binding = 0, std430) readonly buffer Tables { uint d[]; } tables
 layout(set = 0, binding = 1, std430) readonly buffer Changes { uint d[]; } changes;
 layout(set = 0, binding = 2, std430) buffer Work { uint d[]; } work;
 
-bool is_changed(uint first_word, uint row_words, uint columns, uint rows) {
-  uint begin = columns & 0xffffu, end = columns >> 16;
-  for (uint y = rows & 0xffffu; y < rows >> 16; ++y)
-    for (uint at = begin / 32u; at * 32u < end; ++at) {
-      uint low = max(begin, at * 32u) - at * 32u, high = min(end - at * 32u, 32u);
-      uint mask = (0xffffffffu >> (32u - (high - low))) << low;
-      if ((changes.d[first_word + y * row_words + at] & mask) != 0u) return true;
-    }
-  return false;
-}
+#define CHANGES changes
+#include "tiles_changed.glsl"
 
 void main() {
   uint entry = 2u * INPUTS + gl_WorkGroupID.y * ENTRY_WORDS, cell = gl_GlobalInvocationID.x;

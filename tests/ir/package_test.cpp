@@ -165,7 +165,7 @@ Package tiles_package() {
   v.resources.push_back(tensor("changes", Category::kIntermediate, DType::kInt32, {3}, 0));
   v.resources.push_back(tensor("work", Category::kIntermediate, DType::kInt32, {16}, 256));
   v.segments[1].tiles = Tiles{9, 10, 2};
-  v.segments[1].dispatches[0].command_bytes = 16;
+  v.segments[1].dispatches[0].indirect = IndirectGrid{10, 4};
   v.segments[1].dispatches[0].bindings.push_back(
       {7, BindingType::kStorageBuffer, 10, ImageFormat::kNone, true, false, 0});
   v.requirements = binding_requirements(v);
@@ -384,7 +384,7 @@ TEST(Package, HasNetworksThatWorkByTiles) {
   const std::string dump = dump_package(*read);
   EXPECT_NE(dump.find("works by tiles: changes in \"changes\", work in \"work\", tolerance 2"),
             std::string::npos);
-  EXPECT_NE(dump.find("grid 4x1x1, by the command at 16"), std::string::npos);
+  EXPECT_NE(dump.find("as many as words 4..6 of \"work\" say"), std::string::npos);
 }
 
 /// sample_package with a start form of the first network's first dispatch.
@@ -437,12 +437,13 @@ TEST(Package, TellsHowMuchOfANetworkRan) {
   Segment& segment = package.variants[0].segments[1];
   segment.dispatches[0].cost.time_us = 6;
   segment.dispatches[1].cost.time_us = 2;  // without a command
-  EXPECT_EQ(command_words(segment), 7u);
-  const std::vector<uint32_t> none{9, 9, 9, 9, 0, 1, 1}, half{9, 9, 9, 9, 2, 1, 1},
-      all{9, 9, 9, 9, 4, 1, 1};
-  EXPECT_DOUBLE_EQ(share_run(segment, none), 0.25);
-  EXPECT_DOUBLE_EQ(share_run(segment, half), 0.625);
-  EXPECT_DOUBLE_EQ(share_run(segment, all), 1);
+  EXPECT_EQ(indirect_grids({&segment, 1}), (std::vector<IndirectGrid>{{10, 4}}));
+  const auto share = [&](uint32_t cells) {
+    return share_run({&segment, 1}, std::array<uint32_t, 3>{cells, 1, 1});
+  };
+  EXPECT_DOUBLE_EQ(share(0), 0.25);
+  EXPECT_DOUBLE_EQ(share(2), 0.625);
+  EXPECT_DOUBLE_EQ(share(4), 1);
 }
 
 TEST(Package, RefusesTilesThatLeadNowhere) {
@@ -459,19 +460,13 @@ TEST(Package, RefusesTilesThatLeadNowhere) {
             "variant 0, segment 1: \"mid\" of its tiles is no intermediate tensor of INT32");
   EXPECT_EQ(refused([](Segment& s, Variant&) { s.tiles->tolerance = 256; }),
             "variant 0, segment 1: a tolerance of 256 codes is above 255");
-  EXPECT_EQ(
-      refused([](Segment& s, Variant&) { s.tiles.reset(); }),
-      "variant 0, segment 1, dispatch \"conv1\": has a command, and its segment has no tiles");
-  EXPECT_EQ(refused([](Segment& s, Variant&) { s.dispatches[0].command_bytes = 18; }),
-            "variant 0, segment 1, dispatch \"conv1\": a command at byte 18 is unaligned or leaves "
-            "the 64 bytes of \"work\"");
-  EXPECT_EQ(refused([](Segment& s, Variant&) { s.dispatches[0].command_bytes = 56; }),
-            "variant 0, segment 1, dispatch \"conv1\": a command at byte 56 is unaligned or leaves "
-            "the 64 bytes of \"work\"");
-  EXPECT_EQ(
-      refused([](Segment& s, Variant&) { s.dispatches[0].command_bytes = UINT32_MAX - 3; }),
-      "variant 0, segment 1, dispatch \"conv1\": a command at byte 4294967292 is unaligned or "
-      "leaves the 64 bytes of \"work\"");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.tiles.reset(); }),
+            "variant 0, dispatch \"conv1\": grid: \"work\" is not the work of its segment's tiles");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.dispatches[0].indirect->first = 14; }),
+            "variant 0, dispatch \"conv1\": grid: words 14 to 16 leave the 16 of \"work\"");
+  EXPECT_EQ(refused([](Segment& s, Variant&) { s.dispatches[0].indirect->first = UINT32_MAX; }),
+            "variant 0, dispatch \"conv1\": grid: words 4294967295 to 4294967297 leave the 16 of "
+            "\"work\"");
   EXPECT_EQ(refused([](Segment&, Variant& v) {
               v.segments[0].tiles = Tiles{9, 10, 0};
             }),
@@ -586,10 +581,10 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource \"color\": extent 16385x8 is outside 1..16384"},
     {"ImageWithShape", [](Package& p) { resource(p, 4).shape = {1}; },
      "variant 0, resource \"color\": an image has tensor fields"},
-    {"HistoryOfOne", [](Package& p) { resource(p, 5).history_depth = 1; },
-     "variant 0, resource \"history\": history depth 1 is outside 2..16"},
+    {"HistoryOfNone", [](Package& p) { resource(p, 5).history_depth = 0; },
+     "variant 0, resource \"history\": history depth 0 is outside 1..16"},
     {"EndlessHistory", [](Package& p) { resource(p, 5).history_depth = 17; },
-     "variant 0, resource \"history\": history depth 17 is outside 2..16"},
+     "variant 0, resource \"history\": history depth 17 is outside 1..16"},
     {"HistoryDepthElsewhere", [](Package& p) { resource(p, 4).history_depth = 2; },
      "variant 0, resource \"color\": history depth 2 of an image that is no history"},
     {"ShortModule", [](Package& p) { variant(p).modules[1].resize(4); },

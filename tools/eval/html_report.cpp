@@ -613,7 +613,7 @@ Json report_json(const EvalReport& report) {
       Json method{{"method", report.methods[m]},
                   {"means", sequence_json(scene.methods[m].means)},
                   {"frames", Json::array()}};
-      put(method["means"], "networks_run", scene.methods[m].networks_run);
+      put(method["means"], "share_run", scene.methods[m].share_run);
       if (scene.methods[m].generated)
         method["means"]["generated"] = generated_json(*scene.methods[m].generated);
       for (const FrameResult& frame : scene.methods[m].frames) {

@@ -41,7 +41,7 @@ struct MethodResult {
   std::vector<FrameResult> frames;
   SequenceMetrics means;
   /// Share of the networks' predicted time that frames took on average, where networks work by tiles.
-  std::optional<double> networks_run = {};
+  std::optional<double> share_run = {};
   std::optional<GeneratedMetrics> generated;  ///< of the pictures that no frame was rendered for
 };
 

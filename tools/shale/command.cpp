@@ -242,8 +242,9 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
       ->check(CLI::IsMember({"start", "throughput", "balanced"}))
       ->capture_default_str();
   app.add_option("--tiles", tiles,
-                 "run of networks only what changed inputs reach; codes by which int8 inputs may "
-                 "differ from what was last made of them, 0 is exact (default: all in every run)")
+                 "run only what changed inputs reach; codes by which that may change what comes of "
+                 "it, 0 is exact, 1 leaves settled tiles of frames as they are (default: all in "
+                 "every run)")
       ->check(CLI::Range(0u, kMaxTileTolerance))
       ->default_str("");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")

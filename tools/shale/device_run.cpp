@@ -273,7 +273,11 @@ Result<NetworkRun::ChangesRun> NetworkRun::run_changes() {
   const std::span<const uint32_t> words(
       reinterpret_cast<const uint32_t*>(state_->command_copy.mapped().data()),
       commands.size_bytes / sizeof(uint32_t));
-  return ChangesRun{times.front(), share_run(state_->pipeline.graph(), words)};
+  const Segment& graph = state_->pipeline.graph();
+  std::vector<uint32_t> ran;
+  for (const IndirectGrid& grid : indirect_grids({&graph, 1}))
+    ran.insert(ran.end(), words.begin() + grid.first, words.begin() + grid.first + 3);
+  return ChangesRun{times.front(), share_run({&graph, 1}, ran)};
 }
 
 Result<std::vector<DispatchTime>> NetworkRun::measure() {

@@ -102,7 +102,9 @@ Dump package_dump(const Package& package) {
              {"kernel", dispatch.kernel},
              {"module", dispatch.module},
              {"workgroups", dispatch.workgroups},
-             {"command_bytes", dispatch.command_bytes ? Json(*dispatch.command_bytes) : Json()},
+             {"indirect", dispatch.indirect ? Json{{"resource", dispatch.indirect->resource},
+                                                   {"first", dispatch.indirect->first}}
+                                            : Json()},
              {"macs", dispatch.cost.macs},
              {"time_us", dispatch.cost.time_us}});
       for (const auto& [index, form] : segment.start_forms)

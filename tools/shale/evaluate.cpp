@@ -114,8 +114,8 @@ Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>&
                                       : load_display(methods[m].pictures[i], frame.camera.exposure);
       if (!result) return in_file(methods[m].name, result.error());
       if (const auto share = methods[m].player ? methods[m].player->share_run() : std::nullopt)
-        scene.methods[m].networks_run =
-            scene.methods[m].networks_run.value_or(0) + *share / static_cast<double>(count);
+        scene.methods[m].share_run =
+            scene.methods[m].share_run.value_or(0) + *share / static_cast<double>(count);
       std::optional<double> time_ms;
       if (timed) {
         double total_us = 0;
@@ -136,9 +136,9 @@ Result<EvalScene> evaluate_scene(FrameSource& source, std::vector<PlayedMethod>&
   }
   for (size_t m = 0; m < methods.size(); ++m) {
     scene.methods[m].means = evaluators[m].finish();
-    if (scene.methods[m].networks_run)
-      scene.notes.push_back(fmt::format("{}: {:.1f} % of its networks ran, the first frame whole.",
-                                        methods[m].name, 100 * *scene.methods[m].networks_run));
+    if (scene.methods[m].share_run)
+      scene.notes.push_back(fmt::format("{}: {:.1f} % of its frames ran, the first one whole.",
+                                        methods[m].name, 100 * *scene.methods[m].share_run));
     const std::vector<FrameResult>& frames = scene.methods[m].frames;
     if (!methods[m].player || !methods[m].player->variant().promise) continue;
     scene.notes.push_back(fmt::format(

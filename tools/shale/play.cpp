@@ -147,8 +147,8 @@ void print_frames(const Json& json, std::FILE* to) {
                                : frame["kept_promise"].get<bool>() ? ", kept its promise"
                                                                    : ", full passes";
     const std::string ran =
-        frame.contains("networks_run")
-            ? fmt::format(", networks {:.1f} % run", 100 * frame["networks_run"].get<double>())
+        frame.contains("share_run")
+            ? fmt::format(", {:.1f} % run", 100 * frame["share_run"].get<double>())
             : "";
     fmt::print(to, "{} -> {} ({}x{}){}{}{}\n", frame["input"].get<std::string>(),
                frame["output"].get<std::string>(), frame["width"].get<uint32_t>(),
@@ -394,7 +394,7 @@ Result<int> play(const Arguments& arguments) {
       Json entry = entry_of(rendered_at, result);
       entry.update(timed);
       if (const std::optional<bool> kept = player->kept_promise()) entry["kept_promise"] = *kept;
-      if (const std::optional<double> share = player->share_run()) entry["networks_run"] = *share;
+      if (const std::optional<double> share = player->share_run()) entry["share_run"] = *share;
       SHALE_TRY_VOID(look_inside(rendered_at, entry));
       const bool compares = !arguments.reference.empty() || !arguments.compare.empty();
       if (compares && i == 0) {

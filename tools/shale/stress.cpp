@@ -225,7 +225,7 @@ class Subject {
   Result<uint64_t> broken_history() const {
     Range range;
     for (const Resource& resource : player_->variant().resources) {
-      if (resource.category != Category::kImageHistory) continue;
+      if (resource.category != Category::kImageHistory || resource.history_depth < 2) continue;
       SHALE_TRY(const FloatImage image, player_->read(resource.name, false));
       range.add(image);
     }

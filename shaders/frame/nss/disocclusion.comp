@@ -10,7 +10,7 @@ layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
 #include "scattered.glsl"
 
 void main() {
-  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 at = ivec2(invocation());
   if (at.x >= DISOCCLUSION_WIDTH || at.y >= DISOCCLUSION_HEIGHT) return;
   const Block block = block_at(at);
   const vec2 uv = (vec2(at) + 0.5) / vec2(DISOCCLUSION_WIDTH, DISOCCLUSION_HEIGHT);

@@ -66,7 +66,7 @@ vec4 column_of_quad(uint words[3][4], int q, Quad quad, int px) {
 }
 
 void main() {
-  const ivec2 m = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 m = ivec2(2, 1) * ivec2(invocation());
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
   // What lies anywhere is fetched first.
   HALF2 halves[2];
@@ -160,7 +160,7 @@ void pixel_at(ivec2 at) {
 
 void main() {
   for (int i = 0; i < 8; ++i) {
-    const ivec2 at = ivec2(4, 2) * ivec2(gl_GlobalInvocationID.xy) + ivec2(i & 3, i >> 2);
+    const ivec2 at = ivec2(4, 2) * ivec2(invocation()) + ivec2(i & 3, i >> 2);
     if (at.x < OUTPUT_WIDTH && at.y < OUTPUT_HEIGHT) pixel_at(at);
   }
 }

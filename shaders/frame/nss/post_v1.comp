@@ -141,7 +141,7 @@ void parameters_of_quads(ivec2 m, out vec3 parameters[2][2][2]) {
 }
 
 void main() {
-  const ivec2 m = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 m = ivec2(2, 1) * ivec2(invocation());
   if (m.x >= COLOR_WIDTH || m.y >= COLOR_HEIGHT) return;
   // What lies anywhere is fetched first.
   vec2 before[2];
@@ -304,7 +304,7 @@ void pixel_at(ivec2 at) {
 
 void main() {
   for (int i = 0; i < 8; ++i) {
-    const ivec2 at = ivec2(4, 2) * ivec2(gl_GlobalInvocationID.xy) + ivec2(i & 3, i >> 2);
+    const ivec2 at = ivec2(4, 2) * ivec2(invocation()) + ivec2(i & 3, i >> 2);
     if (at.x < OUTPUT_WIDTH && at.y < OUTPUT_HEIGHT) pixel_at(at);
   }
 }

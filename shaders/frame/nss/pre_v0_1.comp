@@ -107,7 +107,7 @@ Texel network_texel(vec3 now, vec2 moved, float z, Before b) {
 }
 
 void main() {
-  const ivec2 first = ivec2(2, 1) * ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 first = ivec2(2, 1) * ivec2(invocation());
   if (first.x >= kPadded.x || first.y >= kPadded.y) return;
   // In the padding the two lie in reverse order, or, at an odd border, the last one twice.
   const ivec2 from = mirrored(first, kRender), to = mirrored(first + ivec2(1, 0), kRender);

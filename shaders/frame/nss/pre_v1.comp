@@ -149,7 +149,7 @@ void keep_motion(ivec2 first, HALF2 raw[2][2]) {
 
 #if SIDE == 1
 void main() {
-  const ivec2 first = 2 * ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 first = 2 * ivec2(invocation());
   if (first.x >= kPadded.x || first.y >= kPadded.y) return;
   // In the padding the tile shows its texels in reverse order, or, at an odd border, the last texel twice.
   const ivec2 from = mirrored(first, kNetwork), to = mirrored(first + 1, kNetwork);
@@ -269,7 +269,7 @@ vec3 current(ivec2 at) {
 }
 
 void main() {
-  const ivec2 padded = ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 padded = ivec2(invocation());
   if (padded.x >= kPadded.x || padded.y >= kPadded.y) return;
   const ivec2 at = mirrored(padded, kNetwork);
   const vec2 uv = (vec2(at) + 0.5) / vec2(kNetwork);
