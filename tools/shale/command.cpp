@@ -243,8 +243,8 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
       ->capture_default_str();
   app.add_option("--tiles", tiles,
                  "run only what changed inputs reach; codes by which that may change what comes of "
-                 "it, 0 is exact, 1 leaves settled tiles of frames as they are (default: all in "
-                 "every run)")
+                 "it, 0 is exact, above it settled tiles of frames stay as they are, 8 is for them "
+                 "(default: all in every run)")
       ->check(CLI::Range(0u, kMaxTileTolerance))
       ->default_str("");
   app.add_option("--kernels", kernels, "kernel families to choose from (default: all)")
