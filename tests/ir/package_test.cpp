@@ -258,9 +258,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.7 is newer than 1.7, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.8 is newer than 1.8, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.7 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.8 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -841,7 +841,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.7\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.8\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\" (class dot8-gpu), arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",
