@@ -452,9 +452,8 @@ static void make_mistakes(const Application* app, const ShalePackage* package) {
   expect_refusal(shale_device_create(&device_info, &device, &last), SHALE_BAD_INPUT,
                  "no physical device is given");
   ShaleLoop* loop = NULL;
-  ShaleLoopInfo info = {.struct_size = sizeof(info),
-                        .frames_in_flight = 9,
-                        .compile = SHALE_COMPILE_BY_HOST};
+  ShaleLoopInfo info = {
+      .struct_size = sizeof(info), .frames_in_flight = 9, .compile = SHALE_COMPILE_BY_HOST};
   expect_refusal(shale_loop_create(app->shale, package, &info, &loop, &last), SHALE_BAD_INPUT,
                  "9 frames in flight are outside 1..8");
   info.compile = (ShaleCompile)3;
@@ -506,9 +505,8 @@ static void make_mistakes(const Application* app, const ShalePackage* package) {
 }
 
 static void describe(const Application* app, const ShalePackage* package) {
-  const ShaleLoopInfo info = {.struct_size = sizeof(info),
-                              .frames_in_flight = 1,
-                              .compile = SHALE_COMPILE_BY_HOST};
+  const ShaleLoopInfo info = {
+      .struct_size = sizeof(info), .frames_in_flight = 1, .compile = SHALE_COMPILE_BY_HOST};
   ShaleLoop* loop = NULL;
   check(shale_loop_create(app->shale, package, &info, &loop, &last));
   printf("target %s\n", shale_loop_target(loop));

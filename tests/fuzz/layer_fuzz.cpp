@@ -34,7 +34,8 @@ extern "C" int LLVMFuzzerInitialize(int*, char***) {
   setenv("VK_LAYER_PATH", SHALE_LAYER_FOLDER, 1);
   setenv("VK_INSTANCE_LAYERS", "VK_LAYER_SHALE_data_graph", 1);
   setenv("SHALE_LAYER_CACHE", "off", 1);
-  setenv("SHALE_LAYER_OPTIONS", "expected-runs=1", 1);  // kernels of little code: more modules a second
+  setenv("SHALE_LAYER_OPTIONS", "expected-runs=1",
+         1);  // kernels of little code: more modules a second
   if (client_open(&client, nullptr) != VK_SUCCESS) std::abort();
   return 0;
 }

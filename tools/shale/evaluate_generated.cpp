@@ -282,10 +282,10 @@ void print_generated(const std::vector<std::string>& methods, const EvalScene& s
     const std::string if_ssim =
         method.means.if_ssim ? fmt::format("{:.4f}", method.means.if_ssim->at_t.value) : "-";
     fmt::print(kLine, methods[m], wide, cell(made.psnr_db, 2), cell(made.ssim, 4),
-               cell(made.flip, 4), if_ssim, cell(made.judder_db, 2),
-               kind(PixelKind::kSeenInAll), kind(PixelKind::kSeenInSome),
-               kind(PixelKind::kSeenInNone), kind(PixelKind::kBorder), kind(PixelKind::kMoving),
-               kind(PixelKind::kMotionless), made.latency_frames, cell(made.time_ms, 1));
+               cell(made.flip, 4), if_ssim, cell(made.judder_db, 2), kind(PixelKind::kSeenInAll),
+               kind(PixelKind::kSeenInSome), kind(PixelKind::kSeenInNone), kind(PixelKind::kBorder),
+               kind(PixelKind::kMoving), kind(PixelKind::kMotionless), made.latency_frames,
+               cell(made.time_ms, 1));
   }
   fmt::print("  {:<{}} {:>42}", "parts of the pictures", wide, "");
   const GeneratedMetrics& first = *scene.methods[0].generated;
