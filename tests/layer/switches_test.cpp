@@ -26,13 +26,15 @@ std::string sums(const std::string& type) {
 }
 
 std::string pools(const std::string& type, bool twice) {
+  const char* mode = type == "i8" ? "" : ", nan_mode=propagate";
   std::string text = fmt::format(
       "graph main {{\n  input %x : {0}[1,8,16,4]\n"
-      "  %a = max_pool2d %x {{kernel=[2,2], stride=[2,2], pad=[0,0,0,0]}} : {0}[1,4,8,4]\n",
-      type);
+      "  %a = max_pool2d %x {{kernel=[2,2], stride=[2,2], pad=[0,0,0,0]{1}}} : {0}[1,4,8,4]\n",
+      type, mode);
   if (twice)
     text += fmt::format(
-        "  %b = max_pool2d %a {{kernel=[2,2], stride=[2,2], pad=[0,0,0,0]}} : {}[1,2,4,4]\n", type);
+        "  %b = max_pool2d %a {{kernel=[2,2], stride=[2,2], pad=[0,0,0,0]{}}} : {}[1,2,4,4]\n",
+        mode, type);
   return text + fmt::format("  return %{}\n}}\n", twice ? "b" : "a");
 }
 
@@ -60,8 +62,8 @@ std::string convolutions(const std::string& type, bool twice) {
 
 class SwitchesLayerTest : public LayerTest {
  protected:
-  /// Runs the graph under every combination of the options and compares with the interpreter.
-  void expect_all(const std::string& text) {
+  /// Runs the graph under every combination of the options, or one of `step`, and compares with the interpreter.
+  void expect_all(const std::string& text, int step = 1) {
     const Graph graph = graph_of(text);
     std::vector<Tensor> inputs;
     for (const ValueId id : graph.inputs) {
@@ -77,7 +79,7 @@ class SwitchesLayerTest : public LayerTest {
     VkDataGraphPipelineCompilerControlCreateInfoARM control{};
     control.sType = VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_COMPILER_CONTROL_CREATE_INFO_ARM;
     control.pVendorOptions = "";
-    for (int bits = 0; bits < 3 * 2 * 2 * 2 * 2 * 2; ++bits) {
+    for (int bits = 0; bits < 3 * 2 * 2 * 2 * 2 * 2; bits += step) {
       int rest = bits;
       const auto take = [&](int count) {
         const int value = rest % count;
@@ -105,14 +107,23 @@ class SwitchesLayerTest : public LayerTest {
   }
 };
 
-TEST_F(SwitchesLayerTest, Sums) { expect_all(sums("i32")); }
+TEST_F(SwitchesLayerTest, Sums) {
+  expect_all(sums("i32"));
+  expect_all(sums("f32"), 7);
+  expect_all(sums("f16"), 7);
+}
 TEST_F(SwitchesLayerTest, Pools) {
   expect_all(pools("i8", false));
   expect_all(pools("i8", true));
+  expect_all(pools("f32", true), 7);
+  expect_all(pools("f16", false), 7);
 }
 TEST_F(SwitchesLayerTest, Convolutions) {
   expect_all(convolutions("i8", false));
   expect_all(convolutions("i8", true));
+  expect_all(convolutions("f32", false), 7);
+  expect_all(convolutions("f32", true), 7);
+  expect_all(convolutions("f16", false), 7);
 }
 
 }  // namespace

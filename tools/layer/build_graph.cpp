@@ -46,7 +46,8 @@ const char* vendor_options(const VkDataGraphPipelineCreateInfoARM& info) {
 double expected_runs(const VkDataGraphPipelineCreateInfoARM& info) {
   if (const auto runs = runs_in(vendor_options(info))) return *runs;
   if (info.flags & VK_PIPELINE_CREATE_DISABLE_OPTIMIZATION_BIT) return kRunsOfOne;
-  return runs_in(secure_getenv("SHALE_LAYER_OPTIONS")).value_or(kRunsOfNetwork);
+  return runs_in(secure_getenv("SHALE_LAYER_OPTIONS"))
+      .value_or(kRunsOfFrame);  // others serve until then
 }
 
 /// The elements one behind the other.
