@@ -144,7 +144,7 @@ ShaleResult shale_loop_create(const ShaleDevice* device, const ShalePackage* pac
     SHALE_TRY_VOID(given(device, "device"));
     SHALE_TRY_VOID(given(package, "package"));
     SHALE_TRY_VOID(check_struct(info, "info"));
-    if (info->compile > SHALE_COMPILE_AT_ONCE)
+    if (info->compile > SHALE_COMPILE_BY_HOST)
       return bad_input("info", "compile is {}, expected one of ShaleCompile",
                        static_cast<uint32_t>(info->compile));
     SHALE_TRY(shale::FrameLoop made,

@@ -80,9 +80,9 @@ void shale_package_destroy(ShalePackage* package);
 /* When the fast kernels are compiled that have start forms in the package. A record takes for each dispatch what is
  * there by then; results are the same, bit for bit. */
 typedef enum ShaleCompile {
-  SHALE_COMPILE_IN_BACKGROUND = 0, /* by threads that the loop owns and ends */
-  SHALE_COMPILE_BY_HOST = 1,       /* by shale_loop_compile_one, on threads of the host's */
-  SHALE_COMPILE_AT_ONCE = 2        /* before shale_loop_create returns */
+  SHALE_COMPILE_AT_ONCE = 0,       /* before shale_loop_create returns */
+  SHALE_COMPILE_IN_BACKGROUND = 1, /* by threads that the loop owns and ends */
+  SHALE_COMPILE_BY_HOST = 2        /* by shale_loop_compile_one, on threads of the host's */
 } ShaleCompile;
 
 typedef struct ShaleLoopInfo {
@@ -93,11 +93,14 @@ typedef struct ShaleLoopInfo {
   /* Null: none. Must outlive the loop, and must not be externally synchronized. */
   VkPipelineCache pipeline_cache;
   ShaleCompile compile;
-  uint32_t compile_threads; /* in the background; 0: half of the processors, at least 2 */
+  /* Of the loop's own, for drivers on the CPU with Vulkan devices of its own. 0: none, but in the
+   * background, where it is half of the processors, at least 2. */
+  uint32_t compile_threads;
 } ShaleLoopInfo;
 
-/* Compiles the best variant that the device meets, on all cores: takes a second where start forms serve, half a minute
- * where fast kernels of a CPU driver are compiled at once. */
+/* Takes the best variant that the device meets. A CPU driver compiles at the first record unless
+ * `compile` or `compile_threads` ask for more: half a minute for fast kernels, a second where start
+ * forms serve. */
 ShaleResult shale_loop_create(const ShaleDevice* device, const ShalePackage* package,
                               const ShaleLoopInfo* info, ShaleLoop** loop, ShaleError* error);
 /* Kernels that are not there yet; those that the driver refused, for which others go on to serve, too. 0 for null. */

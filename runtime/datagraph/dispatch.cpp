@@ -226,7 +226,8 @@ Result<void> Kernels::create_pipelines(const Package& package, const Variant& va
     return variant.modules[wanted[a].module].size() > variant.modules[wanted[b].module].size();
   });
   const uint32_t half = std::max(std::thread::hardware_concurrency() / 2, 2u),
-                 threads = options.threads == 0 ? half : options.threads;
+                 own = options.compile == Compile::kInBackground ? half : 1,
+                 threads = options.threads == 0 ? own : options.threads;
   std::vector<DriverWork> long_work;
   size_t words = 0;
   for (const size_t i : order) {

@@ -20,9 +20,9 @@ class Kernels;
 /// When the pipelines are made for which start forms stand in (StartForm in package.h). A record takes for each dispatch
 /// what is there by then, at most one pipeline more than the record before; results are the same, bit for bit.
 enum class Compile : uint8_t {
+  kAtOnce,        ///< before create() returns; no start form serves
   kInBackground,  ///< by threads that the object owns and ends
   kByHost,        ///< by compile_one(), on threads of the host's
-  kAtOnce,        ///< before create() returns; no start form serves
 };
 
 struct DataGraphPipelineOptions {
@@ -30,8 +30,10 @@ struct DataGraphPipelineOptions {
   VkPipelineCache cache = VK_NULL_HANDLE;
   /// Name of the graph segment; may be left out where there is only one.
   std::string graph = {};
-  Compile compile = Compile::kInBackground;
-  uint32_t threads = 0;  ///< in the background; 0 is half of the processors, at least 2
+  Compile compile = Compile::kAtOnce;
+  /// Of the runtime's own, for drivers on the CPU with devices of its own (driver_code.h). 0 is none, but in the background, where
+  /// it is half of the processors, at least 2.
+  uint32_t threads = 0;
 };
 
 /// Pipelines and weights of a graph segment of one variant. Must outlive its sessions; its device

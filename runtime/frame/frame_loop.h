@@ -32,7 +32,7 @@ struct FrameLoopOptions {
   uint32_t frames_in_flight = 2;
   /// As in DataGraphPipelineOptions.
   VkPipelineCache cache = VK_NULL_HANDLE;
-  Compile compile = Compile::kInBackground;
+  Compile compile = Compile::kAtOnce;
   uint32_t threads = 0;
 };
 

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <thread>
 
 #include "tools/layer/build_graph.h"
 #include "tools/layer/chain.h"
@@ -137,9 +138,12 @@ class Creation {
                          !package.variants.front().segments.front().start_forms.empty();
     VkPipelineCache cache = is_late ? VK_NULL_HANDLE : cache_handle_;
     if (!cache && device_.disk_cache) cache = device_.disk_cache->pipelines();
-    SHALE_TRY(
-        DataGraphPipeline pipeline,
-        DataGraphPipeline::create(*device_.context, package, {.cache = cache, .compile = compile}));
+    SHALE_TRY(DataGraphPipeline pipeline,
+              DataGraphPipeline::create(*device_.context, package,
+                                        {.cache = cache,
+                                         .graph = {},
+                                         .compile = compile,
+                                         .threads = std::thread::hardware_concurrency()}));
     SHALE_TRY(std::vector<GraphTensor> tensors, graph_tensors(pipeline.variant()));
     return std::unique_ptr<GraphPipeline>(
         new GraphPipeline{std::move(pipeline), std::move(tensors), identifier, {}});
