@@ -4,6 +4,7 @@
 #include <iterator>
 
 #include "ir/base/hash.h"
+#include "ir/package/pack.h"
 #include "ir/package/package.h"
 
 namespace shale {
@@ -123,7 +124,9 @@ void dump_variant(std::string& text, size_t index, const Variant& variant) {
   for (size_t i = 0; i < variant.modules.size(); ++i) {
     const Spirv& words = variant.modules[i];
     const auto* bytes = reinterpret_cast<const uint8_t*>(words.data());
-    line(text, "    {:3} {} words, hash {:016x}", i, words.size(),
+    const std::optional<std::vector<uint8_t>> packed = pack_module(words);
+    line(text, "    {:3} {} words in {} bytes, hash {:016x}", i, words.size(),
+         packed ? packed->size() : words.size() * sizeof(uint32_t),
          stable_hash({bytes, words.size() * sizeof(uint32_t)}));
   }
   constexpr const char* kSources[kParamSourceCount] = {"", " (reset)", " (time)", " (frames)"};

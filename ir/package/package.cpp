@@ -5,6 +5,7 @@
 #include <limits>
 #include <map>
 
+#include "ir/package/pack.h"
 #include "ir/schema/package_generated.h"
 
 namespace shale {
@@ -106,7 +107,11 @@ Offset<fbs::Segment> write_segment(Builder& builder, const Segment& s) {
 }
 
 Offset<fbs::Module> write_module(Builder& builder, const Spirv& words) {
-  return fbs::CreateModule(builder, builder.CreateVector(words));
+  const std::optional<std::vector<uint8_t>> packed = pack_module(words);
+  if (!packed) return fbs::CreateModule(builder, builder.CreateVector(words));
+  const auto no_words = builder.CreateVector(Spirv());
+  return fbs::CreateModule(builder, no_words, builder.CreateVector(*packed),
+                           static_cast<uint32_t>(words.size()));
 }
 
 Offset<fbs::RangeProof> write_proof(Builder& builder, const RangeProof& p) {
@@ -182,6 +187,11 @@ class Copier {
 
   std::string text(const flatbuffers::String* string) {
     return string && pay(string->size()) ? string->str() : std::string();
+  }
+
+  /// Pays for what will be read in place.
+  void pay_for(const Vector<uint8_t>* bytes) {
+    if (bytes) pay(bytes->size());
   }
 
   template <typename T>
@@ -288,7 +298,11 @@ Segment read_segment(Copier& copy, const fbs::Segment& s) {
   return segment;
 }
 
-Spirv read_module(Copier& copy, const fbs::Module& module) { return copy.scalars(module.words()); }
+/// Packed words follow once all is paid for: unpack_modules.
+Spirv read_module(Copier& copy, const fbs::Module& module) {
+  copy.pay_for(module.packed());
+  return copy.scalars(module.words());
+}
 
 RangeProof read_proof(Copier& copy, const fbs::RangeProof& p) {
   RangeProof proof;
@@ -354,6 +368,20 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   return variant;
 }
 
+Result<void> unpack_modules(const fbs::Variant& v, size_t index, Variant& variant) {
+  for (uint32_t i = 0; i < v.modules()->size(); ++i) {
+    const fbs::Module& module = *v.modules()->Get(i);
+    if (!module.packed()) continue;
+    const std::string where = fmt::format("variant {}, module {}", index, i);
+    if (module.words()->size() != 0)
+      return bad_input(where, "has {} words beside packed ones, 0 are expected",
+                       module.words()->size());
+    SHALE_TRY(variant.modules[i], unpack_module({module.packed()->data(), module.packed()->size()},
+                                                module.word_count(), where));
+  }
+  return {};
+}
+
 /// Fills in what files before 1.4 leave unsaid. Nothing is checked yet.
 void complete_old(Variant& variant) {
   const std::map<std::string_view, DeviceClass> classes{{"lavapipe", DeviceClass::kCpu},
@@ -408,6 +436,8 @@ Result<Package> read_aligned(std::span<const uint8_t> bytes) {
   package.weights = copy.scalars(root.weights());
   package.variants = copy.tables(root.variants(), read_variant);
   if (copy.overdrawn()) return bad_input("", "the package is damaged: parts of it overlap");
+  for (uint32_t i = 0; i < package.variants.size(); ++i)
+    SHALE_TRY_VOID(unpack_modules(*root.variants()->Get(i), i, package.variants[i]));
   if (version.minor_version() < 4) std::ranges::for_each(package.variants, complete_old);
   SHALE_TRY_VOID(check_package(package));
   return package;

@@ -17,7 +17,7 @@ namespace shale {
 
 /// A reader refuses another major version; a minor version only adds fields with defaults.
 inline constexpr uint32_t kPackageMajor = 1;
-inline constexpr uint32_t kPackageMinor = 8;
+inline constexpr uint32_t kPackageMinor = 9;
 
 /// Offsets of tensors in the arena and in the weight blob are multiples of this: the largest value
 /// that Vulkan allows a device to ask for storage and texel buffer offsets.
@@ -402,7 +402,7 @@ uint32_t param_bytes(const Variant& variant);
 std::vector<uint8_t> write_package(const Package& package);
 
 /// Reads a `.shale` file that nobody vouches for: FlatBuffers structure, major version, enum
-/// values, then check_package. Memory and time are bounded by the length of the file. What files
+/// values, packed modules, then check_package. Memory and time are bounded by the length of the file (pack.h). What files
 /// before 1.4 do not say is filled in: the device class from the target's name, the program "frame",
 /// matrices of 16x16x32 in subgroups of 32 for Feature::kCooperativeMatrix,
 /// Feature::kStorageImageExtended where storage images need it.

@@ -51,7 +51,7 @@ Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
   namespace fs = std::filesystem;
   std::error_code error;
   for (const char* target : {"tosa_fuzz", "tir_fuzz", "spirv_graph_fuzz", "vgf_fuzz",
-                             "package_fuzz", "pipeline_cache_fuzz"})
+                             "package_fuzz", "pack_fuzz", "pipeline_cache_fuzz"})
     fs::create_directories(fs::path(folder) / target, error);
   if (error) return io_error(folder, "cannot create: {}", error.message());
   const auto path = [&](const char* target, const std::string& name) {
@@ -74,6 +74,8 @@ Result<void> make_seeds(const std::string& folder, std::span<char*> models) {
       SHALE_TRY_VOID(
           write_file(path("spirv_graph_fuzz", fmt::format("{}{}", i, external ? "e" : "")),
                      {words, module->words.size() * 4}));
+      SHALE_TRY_VOID(write_file(path("pack_fuzz", fmt::format("{}{}", i, external ? "e" : "")),
+                                {words, module->words.size() * 4}));
     }
   }
   SHALE_TRY_VOID(write_file(path("package_fuzz", "small"), write_package(small_package())));

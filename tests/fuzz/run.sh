@@ -5,7 +5,7 @@ set -eu
 build=$1
 seconds=$2
 shift 2
-[ $# -gt 0 ] || set -- tosa_fuzz tir_fuzz spirv_graph_fuzz vgf_fuzz package_fuzz pipeline_cache_fuzz
+[ $# -gt 0 ] || set -- tosa_fuzz tir_fuzz spirv_graph_fuzz vgf_fuzz package_fuzz pack_fuzz pipeline_cache_fuzz
 here=$(cd "$(dirname "$0")/../.." && pwd)
 corpus=$(mktemp -d)
 trap 'rm -rf "$corpus"' EXIT INT TERM

@@ -258,9 +258,9 @@ TEST(Package, RefusesOtherMajorVersions) {
   const Result<Package> newer = read_package(bytes);
   ASSERT_FALSE(newer);
   EXPECT_EQ(newer.error().code, ErrorCode::kUnsupported);
-  EXPECT_EQ(newer.error().message, "package version 2.8 is newer than 1.8, which this build reads");
+  EXPECT_EQ(newer.error().message, "package version 2.9 is newer than 1.9, which this build reads");
   ASSERT_TRUE(root->SetField<uint32_t>(fbs::Version::VT_MAJOR_VERSION, 0, 1));
-  EXPECT_EQ(refusal(bytes), "package version 0.8 does not exist");
+  EXPECT_EQ(refusal(bytes), "package version 0.9 does not exist");
 }
 
 TEST(Package, AcceptsNewerMinorVersions) {
@@ -300,6 +300,59 @@ TEST(Package, RefusesPartsThatOverlap) {
                          fbs::CreateProvenance(builder, 0, text, text, text), variants, weights));
   EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
             "the package is damaged: parts of it overlap");
+}
+
+TEST(Package, PacksModules) {
+  Package package = sample_package();
+  Spirv& words = package.variants[0].modules[1];
+  words.resize(5);
+  std::mt19937_64 random(kSeed);
+  for (uint32_t i = 0; i < 2000; ++i)
+    words.insert(words.end(),
+                 {5u << 16 | 133, 6, 1000 + i, 900, static_cast<uint32_t>(random() % 250)});
+  std::vector<uint8_t> bytes = write_package(package);
+  EXPECT_LT(bytes.size(), words.size() * sizeof(uint32_t) / 4);
+  const Result<Package> read = read_package(bytes);
+  ASSERT_TRUE(read) << read.error().text();
+  EXPECT_EQ(*read, package);
+
+  const auto* module = fbs::GetPackage(bytes.data())->variants()->Get(0)->modules()->Get(1);
+  auto* table = reinterpret_cast<flatbuffers::Table*>(const_cast<fbs::Module*>(module));
+  const auto count = static_cast<uint32_t>(words.size());
+  ASSERT_TRUE(table->SetField<uint32_t>(fbs::Module::VT_WORD_COUNT, count + 1, 0));
+  EXPECT_EQ(refusal(bytes), fmt::format("variant 0, module 1: the packed module is damaged: its "
+                                        "columns do not make {} words",
+                                        count + 1));
+  ASSERT_TRUE(table->SetField<uint32_t>(fbs::Module::VT_WORD_COUNT, UINT32_MAX, 0));
+  EXPECT_EQ(refusal(bytes), fmt::format("variant 0, module 1: {} packed bytes cannot hold "
+                                        "4294967295 words: 5 to {} are expected",
+                                        module->packed()->size(), module->packed()->size() * 64));
+  ASSERT_TRUE(table->SetField<uint32_t>(fbs::Module::VT_WORD_COUNT, count, 0));
+  auto* packed = const_cast<uint8_t*>(module->packed()->data());
+  packed[module->packed()->size() / 2] ^= 0xff;
+  EXPECT_TRUE(refusal(bytes).starts_with("variant 0, module 1: the packed module is damaged: "));
+}
+
+TEST(Package, RefusesWordsBesidePackedOnes) {
+  flatbuffers::FlatBufferBuilder builder;
+  builder.Align(8);
+  const auto text = builder.CreateString("x");
+  const auto words = builder.CreateVector(Spirv{0x07230203, 0, 0, 0, 0});
+  const auto packed = builder.CreateVector(std::vector<uint8_t>(8, 1));
+  const auto modules =
+      builder.CreateVector(std::vector{fbs::CreateModule(builder, words, packed, 5)});
+  const auto resources = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Resource>>());
+  const auto segments = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Segment>>());
+  const auto proofs = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::RangeProof>>());
+  const auto variants = builder.CreateVector(std::vector{fbs::CreateVariant(
+      builder, text, fbs::CreateRequirements(builder), 0, resources, segments, modules, proofs)});
+  const auto weights = builder.CreateVector(std::vector<uint8_t>());
+  fbs::FinishPackageBuffer(
+      builder,
+      fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
+                         fbs::CreateProvenance(builder, 0, text, text, text), variants, weights));
+  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
+            "variant 0, module 0: has 5 words beside packed ones, 0 are expected");
 }
 
 /// Sets the minor version of a written package.
@@ -841,7 +894,7 @@ TEST(Package, BuffersAreBoundInWholeWords) {
 TEST(Package, DumpShowsEveryPart) {
   const std::string text = dump_package(sample_package());
   for (const char* part : {
-           "shale package 1.8\nmodel \"sample\", hash 1234567890abcdef\n",
+           "shale package 1.9\nmodel \"sample\", hash 1234567890abcdef\n",
            "made by shale 0.1.0 with \"target=any\"\nweights: 321 bytes, hash ",
            "variant 0: target \"any\" (class dot8-gpu), arena 1024 bytes\n  needs: shaderInt8\n",
            "      0 input          i8[1,8,16,4] 512 bytes scale 0.5 zero point -3 \"x\"\n",
@@ -859,7 +912,7 @@ TEST(Package, DumpShowsEveryPart) {
            "       0 texel buffer rgba8_sint reads \"x\"\n",
            "       1 sampled image reads \"history\" 2 frame(s) back\n",
            "      63 storage buffer reads and writes \"y\"\n",
-           "      1 6 words, hash ",
+           "      1 6 words in 24 bytes, hash ",
            "        1 -6..6, any partial sum within 12\n",
        })
     EXPECT_NE(text.find(part), std::string::npos) << part << "\nis not in\n" << text;

@@ -59,6 +59,7 @@ const std::vector<Door> kDoors{
     {std::regex("^vulkan/"), {"runtime/", "tools/"}},
     {std::regex("^CLI/"), {"tools/"}},
     {std::regex("^stb/"), {"tools/"}},
+    {std::regex("^zlib"), {"ir/package/pack.cpp", "tools/"}},
     {std::regex("^OpenEXR/"), {"tools/scene/exr.cpp"}},
     {std::regex("^nlohmann/"),
      {"compiler/plan/frame_json.h", "compiler/plan/needs.cpp", "compiler/cost/",
