@@ -9,8 +9,9 @@
 // Source: winograd.h; packing and proof are ours, shown in tests/compiler/kernels_test.
 //
 // Two things in the code are there for the driver's compiler, which would keep too many values alive:
-// each position is a loop that is left at once, so that its scheduler does not begin all positions
-// together, and each pass adds a zero of its own, so that values are made again and not kept.
+// each row of positions is a loop that is left at once, so that its scheduler does not begin all positions
+// together (a loop for each position is no faster, and Mesa's front end takes longer for each loop), and
+// each pass adds a zero of its own, so that values are made again and not kept.
 #include <algorithm>
 
 #include "compiler/kernels/winograd.h"
@@ -170,18 +171,20 @@ class Winograd {
     // The outputs as far as the rows of positions up to here make them, by output channel and pixel.
     std::vector<std::array<std::string, 4>> outputs(static_cast<size_t>(last));
     for (size_t i = 0; i < 4; ++i) {
+      std::string row;
       for (size_t j = 0; j < 4; ++j) {
-        std::string before, after;
+        std::string after;
+        row += "  {\n  double v;\n";
         for (int64_t oc = first; oc < last; ++oc) {
           text += fmt::format("  double {};\n", position(i, j, oc));
-          before += fmt::format("  double a{} = 0.0lf;\n", oc);
+          row += fmt::format("  double a{} = 0.0lf;\n", oc);
           after += fmt::format("  {} = a{} * {:.2f}lf;\n", position(i, j, oc), oc,
                                0.25 * multiple(i, j));
         }
-        text += "  for (;;) {\n  double v;\n" + before;
-        for (int64_t c = from; c < to; ++c) text += products_of(first, last, i, j, c, packed);
-        text += after + "  if (x >= 0) break;\n  }\n";
+        for (int64_t c = from; c < to; ++c) row += products_of(first, last, i, j, c, packed);
+        row += after + "  }\n";
       }
+      text += "  for (;;) {\n" + row + "  if (x >= 0) break;\n  }\n";
       for (int64_t oc = first; oc < last; ++oc)
         for (size_t pixel = 0; pixel < 4; ++pixel) {
           const int sign = kAt[pixel / 2][i];
