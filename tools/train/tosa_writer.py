@@ -27,8 +27,8 @@ SINGLE_ROUND = 1
 
 #: Operator number, which is also the number of its attribute table in the union.
 OP = {
-    "AVG_POOL2D": 2, "CONV2D": 3, "DEPTHWISE_CONV2D": 5, "MAX_POOL2D": 8, "CLAMP": 11, "SIGMOID": 13, "ADD": 15, "MUL": 28,
-    "SUB": 30, "TABLE": 31, "CONCAT": 55, "RESHAPE": 57, "SLICE": 59, "TRANSPOSE": 61, "RESIZE": 64,
+    "AVG_POOL2D": 2, "CONV2D": 3, "DEPTHWISE_CONV2D": 5, "MATMUL": 7, "MAX_POOL2D": 8, "TRANSPOSE_CONV2D": 10, "CLAMP": 11, "SIGMOID": 13, "ADD": 15, "MUL": 28,
+    "SUB": 30, "TABLE": 31, "REDUCE_MAX": 51, "REDUCE_SUM": 54, "CONCAT": 55, "RESHAPE": 57, "SLICE": 59, "TRANSPOSE": 61, "RESIZE": 64,
     "CAST": 65, "RESCALE": 66, "CONST": 67, "CONST_SHAPE": 75,
 }
 
@@ -40,7 +40,10 @@ ATTRIBUTES = {
     "DEPTHWISE_CONV2D": [("pad", "ints"), ("stride", "ints"), ("dilation", "ints"), ("local_bound", "bool"),
                          ("acc_type", "uint")],
     "MAX_POOL2D": [("kernel", "ints"), ("stride", "ints"), ("pad", "ints"), ("nan_mode", "uint")],
+    "TRANSPOSE_CONV2D": [("out_pad", "ints"), ("stride", "ints"), ("local_bound", "bool"), ("acc_type", "uint")],
     "CLAMP": [("min_val", "bytes"), ("max_val", "bytes"), ("nan_mode", "uint")],
+    "REDUCE_MAX": [("axis", "int"), ("nan_mode", "uint")],
+    "REDUCE_SUM": [("axis", "int")],
     "CONCAT": [("axis", "int")],
     "TRANSPOSE": [("perms", "ints")],
     "RESIZE": [("mode", "uint")],
@@ -156,12 +159,47 @@ class GraphWriter:
             raise ValueError(f"'{name}': weights expect {ic} input channels, '{x.name}' has {c}")
         oh = self._extent(name, h - 1 + pad[0] + pad[1] - (kh - 1) * dilation[0], stride[0])
         ow = self._extent(name, w - 1 + pad[2] + pad[3] - (kw - 1) * dilation[1], stride[1])
+        return self._weighted(op, name, x, weight, bias, (n, oh, ow, oc), input_zp, weight_zp, pad=pad, stride=stride,
+                              dilation=dilation)
+
+    def transpose_conv2d(self, name: str, x: Tensor, weight, bias, *, input_zp: int, weight_zp: int = 0,
+                         out_pad=(0, 0, 0, 0), stride=(1, 1)) -> Tensor:
+        """TRANSPOSE_CONV2D by weights `[oc, kh, kw, ic]`; out_pad is top, bottom, left, right of the result."""
+        weight = np.asarray(weight)
+        oc, kh, kw, ic = weight.shape
+        n, h, w, c = x.shape
+        if c != ic:
+            raise ValueError(f"'{name}': weights expect {ic} input channels, '{x.name}' has {c}")
+        shape = (n, (h - 1) * stride[0] + out_pad[0] + out_pad[1] + kh,
+                 (w - 1) * stride[1] + out_pad[2] + out_pad[3] + kw, oc)
+        return self._weighted("TRANSPOSE_CONV2D", name, x, weight, bias, shape, input_zp, weight_zp, out_pad=out_pad,
+                              stride=stride)
+
+    def _weighted(self, op, name, x, weight, bias, shape, input_zp, weight_zp, **attributes) -> Tensor:
         kind, result, accumulator = CONVOLUTION[x.dtype]
         operands = [x, self.const(f"{name}/weight", weight, kind), self.const(f"{name}/bias", bias, result),
                     self.const(f"{name}/input_zp", [input_zp], x.dtype),
                     self.const(f"{name}/weight_zp", [weight_zp], kind)]
-        return self._emit(op, name, operands, (n, oh, ow, oc), result, pad=pad, stride=stride,
-                          dilation=dilation, acc_type=DTYPE[accumulator])
+        return self._emit(op, name, operands, shape, result, acc_type=DTYPE[accumulator], **attributes)
+
+    def matmul(self, name: str, a: Tensor, b: Tensor, *, a_zp: int = 0, b_zp: int = 0) -> Tensor:
+        """MATMUL of int8 `[n, h, c]` and `[n, c, w]` to int32 `[n, h, w]`."""
+        if a.dtype != "INT8" or b.dtype != "INT8" or a.shape[0] != b.shape[0] or a.shape[2] != b.shape[1]:
+            raise ValueError(f"'{name}': {a.dtype} {list(a.shape)} by {b.dtype} {list(b.shape)}")
+        operands = [a, b, self.const(f"{name}/a_zp", [a_zp], "INT8"), self.const(f"{name}/b_zp", [b_zp], "INT8")]
+        return self._emit("MATMUL", name, operands, (a.shape[0], a.shape[1], b.shape[2]), "INT32")
+
+    def _reduce(self, op: str, name: str, x: Tensor, axis: int, **attributes) -> Tensor:
+        shape = [1 if i == axis else d for i, d in enumerate(x.shape)]
+        return self._emit(op, name, [x], shape, x.dtype, axis=axis, **attributes)
+
+    def reduce_max(self, name: str, x: Tensor, axis: int) -> Tensor:
+        """REDUCE_MAX over an axis, which stays with extent 1."""
+        return self._reduce("REDUCE_MAX", name, x, axis, nan_mode=PROPAGATE)
+
+    def reduce_sum(self, name: str, x: Tensor, axis: int) -> Tensor:
+        """REDUCE_SUM of int32 over an axis, which stays with extent 1."""
+        return self._reduce("REDUCE_SUM", name, x, axis)
 
     @staticmethod
     def _extent(name: str, span: int, stride: int) -> int:
