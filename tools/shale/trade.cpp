@@ -332,7 +332,7 @@ NeedsInWords in_words(const SceneNeeds& needs) {
       words.spares.emplace_back("nothing moves");
   }
   tell(needs.light_changes, "light changes without motion", "no light changes");
-  tell(needs.cuts, "it cuts", "it has no cuts");
+  if (needs.cuts.value_or(false)) words.asks.emplace_back("it cuts");
   if (needs.exposed && (*needs.exposed)[1] > 4)
     words.asks.push_back(fmt::format("its lights reach {:.3g} times white", (*needs.exposed)[1]));
   return words;
