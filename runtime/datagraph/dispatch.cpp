@@ -444,6 +444,7 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<co
                   const TargetOf& target, bool runs_all, vk::Timestamps* timestamps) {
   const vk::Functions& vk = kernels.context().vk;
   if (timestamps) timestamps->start(commands);
+  if (kernels.late()) kernels.late()->note_record();
   bool may_take = true;
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& own = steps[i];

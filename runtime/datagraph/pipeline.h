@@ -21,7 +21,7 @@ class Kernels;
 /// what is there by then, at most one pipeline more than the record before; results are the same, bit for bit.
 enum class Compile : uint8_t {
   kAtOnce,        ///< before create() returns; no start form serves
-  kInBackground,  ///< by threads that the object owns and ends
+  kInBackground,  ///< by threads that the object owns and ends, which begin with the second record or 5 s after create()
   kByHost,        ///< by compile_one(), on threads of the host's
 };
 
