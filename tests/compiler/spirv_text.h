@@ -38,6 +38,7 @@ inline const std::map<std::string, SpirvSyntax>& spirv_syntax() {
       {"OpTypeInt", {21, false, true, "nn"}},
       {"OpTypeFloat", {22, false, true, "n*n"}},
       {"OpTypeArray", {28, false, true, "ii"}},
+      {"OpTypeRuntimeArray", {29, false, true, "i"}},
       {"OpTypeStruct", {30, false, true, "*i"}},
       {"OpTypePointer", {32, false, true, "ei"}},
       {"OpConstantTrue", {41, true, true, ""}},

@@ -1,5 +1,7 @@
 // Compute shaders that read and write tensors, as SPV_ARM_tensors has them.
 #include <cstring>
+#include <functional>
+#include <string>
 
 #include "tests/compiler/spirv_text.h"
 #include "tests/layer/layer_fixture.h"
@@ -116,8 +118,10 @@ class ShaderLayerTest : public LayerTest {
     VkDescriptorSet set;
     VkPipeline pipeline;
   };
-  /// `chained`: the code comes with the stage, not in a module.
-  Pipeline make(const char* text, uint32_t bindings, uint32_t count, bool chained = false) {
+  /// `chained`: the code comes with the stage, not in a module. With `varying` the last binding has so many
+  /// descriptors of `count`, which may be written after the set is bound, and need not all be.
+  Pipeline make(const char* text, uint32_t bindings, uint32_t count, bool chained = false,
+                uint32_t varying = 0) {
     Pipeline made{};
     std::vector<VkDescriptorSetLayoutBinding> list;
     for (uint32_t i = 0; i < bindings; ++i)
@@ -127,6 +131,26 @@ class ShaderLayerTest : public LayerTest {
     set_info.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO;
     set_info.bindingCount = bindings;
     set_info.pBindings = list.data();
+    std::vector<VkDescriptorBindingFlags> flags(bindings);
+    flags.back() = VK_DESCRIPTOR_BINDING_UPDATE_AFTER_BIND_BIT |
+                   VK_DESCRIPTOR_BINDING_PARTIALLY_BOUND_BIT |
+                   VK_DESCRIPTOR_BINDING_VARIABLE_DESCRIPTOR_COUNT_BIT;
+    VkDescriptorSetLayoutBindingFlagsCreateInfo flag_info{};
+    flag_info.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_BINDING_FLAGS_CREATE_INFO;
+    flag_info.bindingCount = bindings;
+    flag_info.pBindingFlags = flags.data();
+    if (varying > 0) {
+      set_info.pNext = &flag_info;
+      set_info.flags = VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT;
+      VkDescriptorSetVariableDescriptorCountLayoutSupport most{};
+      most.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_VARIABLE_DESCRIPTOR_COUNT_LAYOUT_SUPPORT;
+      VkDescriptorSetLayoutSupport support{};
+      support.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_SUPPORT;
+      support.pNext = &most;
+      vkGetDescriptorSetLayoutSupport(client.device, &set_info, &support);
+      EXPECT_TRUE(support.supported);
+      EXPECT_GE(most.maxVariableDescriptorCount, varying);
+    }
     EXPECT_EQ(vkCreateDescriptorSetLayout(client.device, &set_info, nullptr, &made.set_layout),
               VK_SUCCESS);
     VkPipelineLayoutCreateInfo layout_info{};
@@ -141,12 +165,18 @@ class ShaderLayerTest : public LayerTest {
     pool_info.maxSets = 1;
     pool_info.poolSizeCount = 1;
     pool_info.pPoolSizes = &size;
+    if (varying > 0) pool_info.flags = VK_DESCRIPTOR_POOL_CREATE_UPDATE_AFTER_BIND_BIT;
     EXPECT_EQ(vkCreateDescriptorPool(client.device, &pool_info, nullptr, &made.pool), VK_SUCCESS);
     VkDescriptorSetAllocateInfo allocate{};
     allocate.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO;
     allocate.descriptorPool = made.pool;
     allocate.descriptorSetCount = 1;
     allocate.pSetLayouts = &made.set_layout;
+    VkDescriptorSetVariableDescriptorCountAllocateInfo counts{};
+    counts.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_VARIABLE_DESCRIPTOR_COUNT_ALLOCATE_INFO;
+    counts.descriptorSetCount = 1;
+    counts.pDescriptorCounts = &varying;
+    if (varying > 0) allocate.pNext = &counts;
     EXPECT_EQ(vkAllocateDescriptorSets(client.device, &allocate, &made.set), VK_SUCCESS);
     const std::vector<uint32_t> words = assemble_spirv(text);
     VkShaderModuleCreateInfo module_info{};
@@ -178,8 +208,9 @@ class ShaderLayerTest : public LayerTest {
     vkDestroyPipelineLayout(client.device, made.layout, nullptr);
     vkDestroyDescriptorSetLayout(client.device, made.set_layout, nullptr);
   }
-  /// One write over all descriptors, so that it runs from one binding into the next.
-  void write(const Pipeline& made, const std::vector<VkTensorViewARM>& views) const {
+  /// One write over all descriptors from `first` on, so that it runs from one binding into the next.
+  void write(const Pipeline& made, const std::vector<VkTensorViewARM>& views,
+             uint32_t first = 0) const {
     VkWriteDescriptorSetTensorARM tensors{};
     tensors.sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET_TENSOR_ARM;
     tensors.tensorViewCount = static_cast<uint32_t>(views.size());
@@ -188,15 +219,20 @@ class ShaderLayerTest : public LayerTest {
     set.sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET;
     set.pNext = &tensors;
     set.dstSet = made.set;
+    set.dstArrayElement = first;
     set.descriptorCount = tensors.tensorViewCount;
     set.descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM;
     vkUpdateDescriptorSets(client.device, 1, &set, 0, nullptr);
   }
-  void run(const Pipeline& made, uint32_t x, uint32_t y, uint32_t z) const {
+  /// `then` comes when all is recorded and nothing submitted.
+  void run(
+      const Pipeline& made, uint32_t x, uint32_t y, uint32_t z,
+      const std::function<void()>& then = [] {}) const {
     struct Call {
       const Pipeline* pipeline;
       uint32_t groups[3];
-    } call{&made, {x, y, z}};
+      const std::function<void()>& then;
+    } call{&made, {x, y, z}, then};
     EXPECT_EQ(
         client_submit(
             &client,
@@ -206,6 +242,7 @@ class ShaderLayerTest : public LayerTest {
               vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE,
                                       all->pipeline->layout, 0, 1, &all->pipeline->set, 0, nullptr);
               vkCmdDispatch(commands, all->groups[0], all->groups[1], all->groups[2]);
+              all->then();
             },
             &call),
         VK_SUCCESS);
@@ -258,6 +295,76 @@ TEST_F(ShaderLayerTest, ReadsAndWritesRowsOfArraysOfTensors) {
   const Pipeline pipeline = make(kArrays, 1, 2);
   write(pipeline, {tensors[0].view, tensors[1].view});
   run(pipeline, 1, 1, 2);
+  for (int which = 0; which < 2; ++which) {
+    const auto* values = static_cast<const int16_t*>(tensors[which].mapped);
+    for (int i = 0; i < 4; ++i)
+      EXPECT_EQ(values[i], 100 * which + (i < 3 ? i + 2 : 4)) << which << " " << i;
+  }
+  destroy(pipeline);
+  for (ClientTensor& tensor : tensors) client_destroy_tensor(&client, &tensor);
+}
+
+/// Tensors 0 and 2 of an array of any length, of which the invocations of one workgroup take one each; between
+/// them nothing is bound. The descriptors are written when the dispatch is recorded.
+TEST_F(ShaderLayerTest, TakesDescriptorsWrittenAfterBindingByIndicesThatDiffer) {
+  VkPhysicalDeviceVulkan12Features v12{};
+  v12.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES;
+  VkPhysicalDeviceTensorFeaturesARM tensor_features{};
+  tensor_features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM;
+  tensor_features.pNext = &v12;
+  VkPhysicalDeviceFeatures2 features{};
+  features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+  features.pNext = &tensor_features;
+  vkGetPhysicalDeviceFeatures2(client.physical, &features);
+  EXPECT_EQ(tensor_features.descriptorBindingStorageTensorUpdateAfterBind,
+            v12.descriptorBindingStorageBufferUpdateAfterBind);
+  EXPECT_EQ(tensor_features.shaderStorageTensorArrayNonUniformIndexing,
+            v12.shaderStorageBufferArrayNonUniformIndexing);
+  if (!tensor_features.descriptorBindingStorageTensorUpdateAfterBind ||
+      !tensor_features.shaderStorageTensorArrayNonUniformIndexing ||
+      !v12.descriptorBindingPartiallyBound || !v12.descriptorBindingVariableDescriptorCount ||
+      !v12.runtimeDescriptorArray)
+    GTEST_SKIP() << "the device has no update after bind or no indices that differ";
+  VkPhysicalDeviceDescriptorIndexingFeatures indexing{};
+  indexing.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_INDEXING_FEATURES;
+  indexing.descriptorBindingPartiallyBound = VK_TRUE;
+  indexing.descriptorBindingVariableDescriptorCount = VK_TRUE;
+  indexing.runtimeDescriptorArray = VK_TRUE;
+  client_close(&client);
+  ASSERT_EQ(client_open(&client, &indexing), VK_SUCCESS);
+
+  std::string text = kArrays;
+  const auto replace = [&](const std::string& from, const std::string& to) {
+    ASSERT_NE(text.find(from), std::string::npos) << from;
+    text.replace(text.find(from), from.size(), to);
+  };
+  replace("OpCapability 4175\n",
+          "OpCapability 4175\nOpCapability 4176\nOpCapability 5301\nOpCapability 5302\n"
+          "OpExtension \"SPV_EXT_descriptor_indexing\"\n");
+  replace("17 1 1 1\n", "17 1 1 2\n");
+  replace("OpDecorate %a Binding 0\n",
+          "OpDecorate %a Binding 0\nOpDecorate %index 5300\nOpDecorate %p 5300\n"
+          "OpDecorate %ta 5300\n");
+  replace("%ts = OpTypeArray %t %c2\n", "%ts = OpTypeRuntimeArray %t\n");
+  replace("%p = OpAccessChain %pt %a %z\n",
+          "%index = OpIAdd %uint %z %z\n%p = OpAccessChain %pt %a %index\n");
+
+  const int64_t dims[] = {4};
+  client.more_usage = VK_TENSOR_USAGE_SHADER_BIT_ARM;
+  ClientTensor tensors[2];
+  for (ClientTensor& tensor : tensors) {
+    ASSERT_EQ(client_create_tensor(&client, VK_FORMAT_R16_SINT, VK_TENSOR_TILING_LINEAR_ARM, 1,
+                                   dims, nullptr, &tensor),
+              VK_SUCCESS);
+    for (int i = 0; i < 4; ++i)
+      static_cast<int16_t*>(tensor.mapped)[i] =
+          static_cast<int16_t>(100 * (&tensor - tensors) + i + 1);
+  }
+  const Pipeline pipeline = make(text.c_str(), 1, 8, false, 3);
+  run(pipeline, 1, 1, 1, [&] {
+    write(pipeline, {tensors[0].view});
+    write(pipeline, {tensors[1].view}, 2);
+  });
   for (int which = 0; which < 2; ++which) {
     const auto* values = static_cast<const int16_t*>(tensors[which].mapped);
     for (int i = 0; i < 4; ++i)

@@ -115,6 +115,8 @@ struct Physical {
   /// VK_KHR_maintenance5, VK_KHR_deferred_host_operations: the layer serves and the device has them not.
   bool lends_maintenance5 = false, lends_deferred = false;
   bool dynamic_indexing = false;  ///< shaderStorageBufferArrayDynamicIndexing
+  VkPhysicalDeviceVulkan12Features features12{};
+  VkPhysicalDeviceVulkan12Properties properties12{};
   DeviceCaps caps;
   VkPhysicalDeviceLimits limits{};
   std::vector<VkQueueFamilyProperties> families;
