@@ -34,6 +34,9 @@ struct DataGraphPipelineOptions {
   /// Of the runtime's own, for drivers on the CPU with devices of its own (driver_code.h). 0 is none, but in the background, where
   /// it is half of the processors, at least 2.
   uint32_t threads = 0;
+  /// Sessions may be pointed at other tensors when they are recorded (Session::update). The device must have enabled
+  /// descriptorBindingStorageBufferUpdateAfterBind and descriptorBindingUniformTexelBufferUpdateAfterBind.
+  bool update_after_bind = false;
 };
 
 /// Pipelines and weights of a graph segment of one variant. Must outlive its sessions; its device

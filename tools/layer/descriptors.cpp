@@ -79,8 +79,9 @@ SetLayout read_set_layout(const VkDescriptorSetLayoutCreateInfo& info) {
     layout.bindings[binding.binding] = {
         binding.descriptorType, binding.descriptorCount,
         (own & VK_DESCRIPTOR_BINDING_VARIABLE_DESCRIPTOR_COUNT_BIT) != 0};
-    layout.has_tensors =
-        layout.has_tensors || binding.descriptorType == VK_DESCRIPTOR_TYPE_TENSOR_ARM;
+    if (binding.descriptorType != VK_DESCRIPTOR_TYPE_TENSOR_ARM) continue;
+    layout.has_tensors = true;
+    if (own & VK_DESCRIPTOR_BINDING_UPDATE_AFTER_BIND_BIT) layout.update_after_bind = true;
   }
   return layout;
 }
@@ -100,7 +101,7 @@ uint32_t SetLayout::varying_scale(const Device& device) const {
   return 1;
 }
 
-Set::Set(const SetLayout& layout, uint32_t varying) {
+Set::Set(const SetLayout& layout, uint32_t varying) : update_after_bind(layout.update_after_bind) {
   for (const auto& [number, binding] : layout.bindings)
     if (binding.type == VK_DESCRIPTOR_TYPE_TENSOR_ARM)
       tensors[number].resize(binding.varies ? std::min(varying, binding.count) : binding.count);

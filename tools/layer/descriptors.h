@@ -20,6 +20,7 @@ struct SetLayout {
   };
   std::map<uint32_t, Binding> bindings;  ///< by number
   bool has_tensors = false;
+  bool update_after_bind = false;  ///< tensors may be written when the set is bound
 
   /// How many descriptors the device below has for one whose count varies, of a tensor or of others.
   uint32_t varying_scale(const Device& device) const;
@@ -33,6 +34,7 @@ struct PipelineLayout {
 /// The tensor descriptors of a set; null where none was written.
 struct Set {
   std::map<uint32_t, std::vector<const Tensor*>> tensors;  ///< by binding, then element
+  bool update_after_bind = false;
 
   Set() = default;
   /// `varying` is the count of the binding that has one of its own in each set.

@@ -102,7 +102,16 @@ void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
     turn_on_12(
         &VkPhysicalDeviceVulkan12Features::shaderStorageBufferArrayNonUniformIndexing, kIndexing,
         &VkPhysicalDeviceDescriptorIndexingFeatures::shaderStorageBufferArrayNonUniformIndexing);
-  if (tensors && tensors->descriptorBindingStorageTensorUpdateAfterBind)
+  const auto* graphs = find_in_chain<VkPhysicalDeviceDataGraphFeaturesARM>(
+      info.pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM);
+  const bool late_graphs = graphs && graphs->dataGraphUpdateAfterBind;
+  if (late_graphs)
+    turn_on_12(
+        &VkPhysicalDeviceVulkan12Features::descriptorBindingUniformTexelBufferUpdateAfterBind,
+        kIndexing,
+        &VkPhysicalDeviceDescriptorIndexingFeatures::
+            descriptorBindingUniformTexelBufferUpdateAfterBind);
+  if (late_graphs || (tensors && tensors->descriptorBindingStorageTensorUpdateAfterBind))
     turn_on_12(
         &VkPhysicalDeviceVulkan12Features::descriptorBindingStorageBufferUpdateAfterBind, kIndexing,
         &VkPhysicalDeviceDescriptorIndexingFeatures::descriptorBindingStorageBufferUpdateAfterBind);

@@ -194,6 +194,10 @@ void fill_features(const Physical& physical, void* chain) {
     clear_body(*graphs);
     graphs->dataGraph = graphs->dataGraphShaderModule = VK_TRUE;
     graphs->dataGraphSpecializationConstants = VK_TRUE;
+    graphs->dataGraphUpdateAfterBind =
+        tensor_shaders(physical) &&  // of padded tensors a shader has to hold the elements
+        physical.features12.descriptorBindingStorageBufferUpdateAfterBind &&
+        physical.features12.descriptorBindingUniformTexelBufferUpdateAfterBind;
   }
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM))
