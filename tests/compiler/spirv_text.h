@@ -73,6 +73,8 @@ inline const std::map<std::string, SpirvSyntax>& spirv_syntax() {
       {"OpUConvert", {113, true, true, "i"}},
       {"OpSConvert", {114, true, true, "i"}},
       {"OpIAdd", {128, true, true, "ii"}},
+      {"OpUDiv", {134, true, true, "ii"}},
+      {"OpUMod", {137, true, true, "ii"}},
       {"OpLabel", {248, false, true, ""}},
       {"OpReturn", {253, false, false, ""}},
       {"OpTensorReadARM", {4164, true, true, "ii*i"}},

@@ -1,4 +1,6 @@
 // Compute shaders that read and write tensors, as SPV_ARM_tensors has them.
+#include <fmt/format.h>
+
 #include <cstring>
 #include <functional>
 #include <string>
@@ -108,6 +110,88 @@ OpTensorWriteARM %ta %here %value
 OpReturn
 OpFunctionEnd
 )";
+
+struct ShaderFormat {
+  VkFormat format;
+  const char *type, *capability;  ///< the latter may be null
+  size_t bytes;
+};
+constexpr ShaderFormat kShaderFormats[] = {
+    {VK_FORMAT_R8_BOOL_ARM, "OpTypeBool", nullptr, 1},
+    {VK_FORMAT_R8_UINT, "OpTypeInt 8 0", "Int8", 1},
+    {VK_FORMAT_R8_SINT, "OpTypeInt 8 1", "Int8", 1},
+    {VK_FORMAT_R16_UINT, "OpTypeInt 16 0", "Int16", 2},
+    {VK_FORMAT_R16_SINT, "OpTypeInt 16 1", "Int16", 2},
+    {VK_FORMAT_R32_UINT, nullptr, nullptr, 4},
+    {VK_FORMAT_R32_SINT, "OpTypeInt 32 1", nullptr, 4},
+    {VK_FORMAT_R64_UINT, "OpTypeInt 64 0", "Int64", 8},
+    {VK_FORMAT_R64_SINT, "OpTypeInt 64 1", "Int64", 8},
+};
+
+/// b = a, an element per invocation, whose place comes of the sizes that a tells; these go into c.
+std::string copy_shader(const ShaderFormat& format, size_t rank) {
+  const std::string element = format.type ? "%element" : "%uint";
+  std::string text = "OpCapability Shader\n";
+  if (format.capability) text += fmt::format("OpCapability {}\n", format.capability);
+  text += R"(OpCapability TensorsARM
+OpExtension "SPV_ARM_tensors"
+OpMemoryModel 0 1
+OpEntryPoint 5 %main "main" %id %a %b %c
+OpExecutionMode %main 17 1 1 1
+OpDecorate %id 11 28
+)";
+  for (size_t i = 0; i < 3; ++i)
+    text +=
+        fmt::format("OpDecorate %{0} DescriptorSet 0\nOpDecorate %{0} Binding {1}\n", "abc"[i], i);
+  text += R"(%void = OpTypeVoid
+%fn = OpTypeFunction %void
+%uint = OpTypeInt 32 0
+%v3 = OpTypeVector %uint 3
+%pin = OpTypePointer 1 %v3
+%id = OpVariable %pin 1
+)";
+  if (format.type) text += fmt::format("%element = {}\n", format.type);
+  for (size_t i = 0; i <= rank; ++i) text += fmt::format("%n{} = OpConstant %uint {}\n", i, i);
+  text += fmt::format(R"(%coords = OpTypeArray %uint %n{0}
+%t = OpTypeTensorARM {1} %n{0}
+%pt = OpTypePointer UniformConstant %t
+%a = OpVariable %pt UniformConstant
+%b = OpVariable %pt UniformConstant
+)",
+                      rank, element);
+  // Types are there once.
+  const bool same = rank == 1 && !format.type;
+  if (!same) text += "%tc = OpTypeTensorARM %uint %n1\n%ptc = OpTypePointer UniformConstant %tc\n";
+  if (rank != 1) text += "%coord = OpTypeArray %uint %n1\n";
+  text += fmt::format(R"(%c = OpVariable {} UniformConstant
+%main = OpFunction %void 0 %fn
+%l = OpLabel
+%gid = OpLoad %v3 %id
+%rest{} = OpCompositeExtract %uint %gid 0
+%la = OpLoad %t %a
+%lb = OpLoad %t %b
+%lc = OpLoad {} %c
+)",
+                      same ? "%pt" : "%ptc", rank, same ? "%t" : "%tc");
+  std::string coordinates;
+  for (size_t axis = rank; axis-- > 0;) {
+    text += fmt::format(R"(%s{0} = OpTensorQuerySizeARM %uint %la %n{0}
+%at{0} = OpUMod %uint %rest{1} %s{0}
+%rest{0} = OpUDiv %uint %rest{1} %s{0}
+%w{0} = OpCompositeConstruct {2} %n{0}
+OpTensorWriteARM %lc %w{0} %s{0}
+)",
+                        axis, axis + 1, rank == 1 ? "%coords" : "%coord");
+    coordinates = fmt::format(" %at{}", axis) + coordinates;
+  }
+  return text + fmt::format(R"(%here = OpCompositeConstruct %coords{}
+%value = OpTensorReadARM {} %la %here
+OpTensorWriteARM %lb %here %value
+OpReturn
+OpFunctionEnd
+)",
+                            coordinates, element);
+}
 
 class ShaderLayerTest : public LayerTest {
  protected:
@@ -302,6 +386,57 @@ TEST_F(ShaderLayerTest, ReadsAndWritesRowsOfArraysOfTensors) {
   }
   destroy(pipeline);
   for (ClientTensor& tensor : tensors) client_destroy_tensor(&client, &tensor);
+}
+
+TEST_F(ShaderLayerTest, EveryFormatAndRankIsReadAndWritten) {
+  VkPhysicalDeviceFeatures features;
+  vkGetPhysicalDeviceFeatures(client.physical, &features);
+  client.more_usage = VK_TENSOR_USAGE_SHADER_BIT_ARM;
+  const std::vector<int64_t> shapes[] = {{251},        {17, 23},        {7, 11, 5},
+                                         {3, 5, 2, 7}, {2, 3, 5, 2, 7}, {2, 3, 1, 5, 2, 7}};
+  for (const ShaderFormat& format : kShaderFormats)
+    for (const std::vector<int64_t>& shape : shapes) {
+      if (format.bytes == 8 && !features.shaderInt64) continue;
+      SCOPED_TRACE(
+          fmt::format("format {}, rank {}", static_cast<int>(format.format), shape.size()));
+      const auto rank = static_cast<uint32_t>(shape.size());
+      const auto bytes = static_cast<int64_t>(format.bytes);
+      std::vector<int64_t> strides(rank);
+      int64_t next = bytes, count = 1;
+      for (size_t i = rank; i-- > 0; next *= shape[i], count *= shape[i]) {
+        strides[i] = next;
+        if (i + 2 == rank) strides[i] += 13 * bytes, next = strides[i];
+      }
+      ClientTensor a, b, c;
+      ASSERT_EQ(client_create_tensor(&client, format.format, VK_TENSOR_TILING_LINEAR_ARM, rank,
+                                     shape.data(), rank > 1 ? strides.data() : nullptr, &a),
+                VK_SUCCESS);
+      ASSERT_EQ(client_create_tensor(&client, format.format, VK_TENSOR_TILING_OPTIMAL_ARM, rank,
+                                     shape.data(), nullptr, &b),
+                VK_SUCCESS);
+      const int64_t axes = rank;
+      ASSERT_EQ(client_create_tensor(&client, VK_FORMAT_R32_UINT, VK_TENSOR_TILING_LINEAR_ARM, 1,
+                                     &axes, nullptr, &c),
+                VK_SUCCESS);
+      auto* in = static_cast<uint8_t*>(a.mapped);
+      const bool is_bool = format.format == VK_FORMAT_R8_BOOL_ARM;
+      for (VkDeviceSize i = 0; i < a.size; ++i)
+        in[i] = static_cast<uint8_t>(is_bool ? i * i % 3 % 2 : 1 + i * 41 % 251);
+      const Pipeline pipeline = make(copy_shader(format, rank).c_str(), 3, 1);
+      write(pipeline, {a.view, b.view, c.view});
+      run(pipeline, static_cast<uint32_t>(count), 1, 1);
+      const auto* out = static_cast<const uint8_t*>(b.mapped);
+      for (int64_t i = 0; i < count; ++i) {
+        int64_t rest = i, at = 0;
+        for (size_t axis = rank; axis-- > 0; rest /= shape[axis])
+          at += rest % shape[axis] * strides[axis];
+        ASSERT_EQ(std::memcmp(out + i * bytes, in + at, format.bytes), 0) << i;
+      }
+      for (size_t axis = 0; axis < rank; ++axis)
+        EXPECT_EQ(static_cast<const uint32_t*>(c.mapped)[axis], shape[axis]) << axis;
+      destroy(pipeline);
+      for (ClientTensor* tensor : {&a, &b, &c}) client_destroy_tensor(&client, tensor);
+    }
 }
 
 /// Tensors 0 and 2 of an array of any length, of which the invocations of one workgroup take one each; between

@@ -396,8 +396,13 @@ class Lowering {
   Result<void> lower_entry_point(const Instruction& instruction) {
     Words o = instruction.operands;
     Words added;
-    for (const uint32_t id : o)
-      if (const auto found = by_id_.find(id); found != by_id_.end())
+    size_t first = 2;  // behind execution model, function and name
+    const auto ends_name = [](uint32_t word) {
+      return !(word & 0xff) || !(word & 0xff00) || !(word & 0xff0000) || !(word & 0xff000000);
+    };
+    while (first < o.size() && !ends_name(o[first])) ++first;
+    for (size_t i = first + 1; i < o.size(); ++i)
+      if (const auto found = by_id_.find(o[i]); found != by_id_.end())
         added.push_back(variables_[found->second].shapes);
     o.insert(o.end(), added.begin(), added.end());
     append(head_, instruction.op, o);
