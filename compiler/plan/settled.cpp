@@ -14,7 +14,8 @@ constexpr uint32_t kNone = UINT32_MAX;              // in the tables
 constexpr uint32_t kEntryWords = 12;                // of a pass in the tables
 constexpr uint32_t kHeaderWords = 3;                // of what is kept
 constexpr uint64_t kMostWords = uint64_t{1} << 24;  // any device binds so much
-constexpr const char *kKept = "settled.kept", *kWork = "settled.work";
+constexpr uint32_t kFirstCopy = uint32_t{1} << 31;  // in the list of copies
+constexpr const char *kKept = "settled.kept", *kWork = "settled.work", *kMeans = "settled.means";
 
 uint32_t ceil_div(uint64_t a, uint64_t b) { return static_cast<uint32_t>((a + b - 1) / b); }
 
@@ -59,6 +60,7 @@ struct Way {
   std::vector<const FrameImage*> copied;  ///< by a list: histories that it writes
   bool is_shown = false;                  ///< stores of these go to an output of the host, too
   uint32_t ring = 0;                      ///< images of the longest of these
+  bool makes_shown = false;               ///< Frame::settles's image is one of these
 };
 
 class Settling {
@@ -74,11 +76,18 @@ class Settling {
         for (uint32_t i = 0; i < param.components; ++i)
           params_.push_back(param.offset_bytes / 4 + i);
     counts_ = kHeaderWords + kSettledPhases * (static_cast<uint32_t>(params_.size()) + 1);
-    left_ = counts_ + static_cast<uint32_t>(tiling_.words());
+    ages_ = counts_ + static_cast<uint32_t>(tiling_.words());
     kept_ = static_cast<uint32_t>(variant_.resources.size());
     work_ = kept_ + 1;
     variant_.resources.push_back(words_image(kKept, Category::kImageHistory, 1));
     variant_.resources.push_back(words_image(kWork, Category::kImageInternal, 1));
+    const FrameExtent shown =
+        image_named(options.frame.settles->image)->size(options.render, options.output);
+    const uint64_t words = 2 * uint64_t{shown.width} * shown.height;
+    if (words <= kMostWords) {
+      means_ = work_ + 1;
+      variant_.resources.push_back(words_image(kMeans, Category::kImageHistory, words));
+    }
   }
 
   Result<void> add(std::vector<RunPass>& passes) {
@@ -86,15 +95,14 @@ class Settling {
     bool keeps = false;
     for (const RunPass& each : passes) {
       SHALE_TRY(ways.emplace_back(), way_of(each));
-      for (const FrameImage* image : ways.back().copied)
-        keeps = keeps || image->name == options_.frame.settles->image;
+      keeps = keeps || ways.back().makes_shown;
     }
     if (!keeps)
       return bad_input("frame.settles",
                        "no pass that calls invocation() writes the history \"{}\" alone",
                        options_.frame.settles->image);
     // Marks, then commands, then lists; of a pass with a copy two of each.
-    uint32_t words = tiling_.rows * tiling_.row_words(), left = left_;
+    uint32_t words = tiling_.rows * tiling_.row_words(), ages = ages_;
     std::vector<uint32_t> tables, ranges;
     uint32_t entries = 0, most = 1;
     const auto take = [&](uint32_t count) { return std::exchange(words, words + count); };
@@ -122,13 +130,16 @@ class Settling {
         entry[2] = take(count);
         pass.list = WorkgroupList{work_, entry[2], columns};
       }
-      std::optional<RunPass> copy;
+      std::optional<RunPass> copy, mean;
+      const bool has_mean = way.makes_shown && means_;
       if (!way.copied.empty()) {
         entry[7] = take(count);
         entry[8] = take(3);
-        entry[9] = way.is_shown ? kNone : way.ring - 1;
-        entry[10] = std::exchange(left, left + count);
-        copy = copy_of(pass.pass, way, entry[7], entry[8], count, columns);
+        // A mean is in none of the ring's images.
+        entry[9] = way.is_shown ? kNone : way.ring - (has_mean ? 0 : 1);
+        entry[10] = std::exchange(ages, ages + count);
+        copy = copy_of(pass.pass, way, entry[7], entry[8], count, columns, has_mean);
+        if (has_mean) mean = mean_of(pass, way);
         pass.is_last_form = false;  // an output gets what both leave
       }
       entry[11] = passes_by_grid * kEntryWords + static_cast<uint32_t>(ranges.size());
@@ -137,6 +148,7 @@ class Settling {
       ++entries;
       all.push_back(std::move(pass));
       if (copy) all.push_back(std::move(*copy));
+      if (mean) all.push_back(std::move(*mean));
     }
     tables.insert(tables.end(), ranges.begin(), ranges.end());
     all[find] = generated("settled_find", "settled_find.glsl", {ceil_div(most, kLocal), entries, 1},
@@ -144,7 +156,7 @@ class Settling {
                            buffer(work_, true, true)});
     all[find].pass.defines.emplace_back("ENTRY_WORDS", fmt::format("{}", kEntryWords));
     add_rest(all);
-    kept_words_ = std::max(kept_words_, left);
+    kept_words_ = std::max(kept_words_, ages);
     work_words_ = std::max(work_words_, words);
     passes = std::move(all);
     return {};
@@ -207,7 +219,8 @@ class Settling {
           way.over->divide[1] % image->size.divide[1] != 0)
         way.by_grid = false;
       else
-        way.copied.push_back(image);
+        way.copied.push_back(image),
+            way.makes_shown = way.makes_shown || image->name == options_.frame.settles->image;
       if (image) way.ring = std::max(way.ring, image->history_depth);
       for (const FrameImage& shows : options_.frame.images)
         way.is_shown = way.is_shown || (!is_linear_ && shows.shows == image->name);
@@ -216,6 +229,7 @@ class Settling {
       way.by_grid = way.by_grid && way.copied.empty();
       way.over.reset();
       way.copied.clear();
+      way.makes_shown = false;
       return way;
     }
     // What it leaves of one frame is what others find in the next.
@@ -260,6 +274,7 @@ class Settling {
     define("HASHES", counts_ + 2 * tiling_.count());
     define("SETTLED", kSettledFrames + 1);
     define("PHASES", kSettledPhases);
+    define("FIRST_COPY", kFirstCopy);
     run.glsl =
         fmt::format("#version 450\n#include \"access.glsl\"\n#include \"{}\"\n{}", file, text);
     run.workgroups = grid;
@@ -342,28 +357,72 @@ class Settling {
     all.push_back(std::move(rest));
   }
 
-  /// Copies parts of the pass's histories from the frame before: those of the workgroups of a list.
+  /// What of an image a workgroup of a pass makes.
+  static std::array<uint32_t, 2> side_of(const FramePass& pass, const Way& way,
+                                         const FrameImage& image) {
+    const auto side = [&](size_t axis) {
+      return pass.workgroup[axis] * way.over->divide[axis] / image.size.divide[axis];
+    };
+    return {side(0), side(1)};
+  }
+
+  /// Follows what a pass by a list shows to its mean.
+  RunPass mean_of(const RunPass& made, const Way& way) const {
+    const std::string& shown = options_.frame.settles->image;
+    RunPass mean = generated(
+        "settled_mean", "settled_mean.glsl", {1, 1, 1},
+        {buffer(kept_, true, false), buffer(work_, true, false), buffer(*means_, true, true)});
+    mean.pass.bindings = {{shown, "shown", true, false, 0}, {shown, "past", true, false, 1}};
+    const auto side = side_of(made.pass, way, *image_named(shown));
+    for (const auto& [key, value] :
+         {std::pair{"LIST", made.list->first}, std::pair{"LIST_COLUMNS", made.list->columns},
+          std::pair{"SIDE_X", side[0]}, std::pair{"SIDE_Y", side[1]}})
+      mean.pass.defines.emplace_back(key, fmt::format("{}", value));
+    mean.grid = made.grid;
+    mean.is_rare = true;  // while things settle
+    return mean;
+  }
+
+  /// Copies parts of the pass's histories from the frame before: those of the workgroups of a list; the first time,
+  /// where there is one, the mean of what is shown.
   RunPass copy_of(const FramePass& pass, const Way& way, uint32_t list, uint32_t command,
-                  uint32_t count, uint32_t columns) const {
+                  uint32_t count, uint32_t columns, bool has_mean) const {
     RunPass copy;
     copy.pass.name = "keep_" + pass.name;
     copy.pass.workgroup[0] = kLocal;
     copy.pass.workgroup[1] = 1;
-    copy.glsl = fmt::format(R"(#version 450
+    copy.buffers = {buffer(work_, true, false)};
+    copy.glsl = R"(#version 450
 #include "access.glsl"
+#include "color.glsl"
 layout(local_size_x = LOCAL_X) in;
-layout(set = 0, binding = FREE_BINDING, std430) readonly buffer Work {{ uint d[]; }} work;
-void main() {{
-  const int own = int(work.d[{0} + gl_WorkGroupID.x]);
+layout(set = 0, binding = FREE_BINDING, std430) readonly buffer Work { uint d[]; } work;
+)";
+    if (has_mean) {
+      copy.buffers.push_back(buffer(*means_, true, false));
+      copy.glsl += fmt::format(
+          R"(layout(set = 0, binding = FREE_BINDING + 1, std430) readonly buffer Means {{ uvec2 d[]; }} means;
+HALF4 mean_of(HALF4 past, ivec2 at) {{
+  const uvec2 away = means.d[at.y * {} + at.x];
+  return half4(finite_color(rgb_of(past) + vec3(unpackHalf2x16(away.x), unpackHalf2x16(away.y).x)));
+}}
+)",
+          image_named(options_.frame.settles->image)->size(options_.render, options_.output).width);
+    }
+    copy.glsl += fmt::format(R"(void main() {{
+  const uint entry = work.d[{0} + gl_WorkGroupID.x];
+  const int own = int(entry & {2}u);
   const ivec2 place = ivec2(own % {1}, own / {1});
 )",
-                            list, columns);
+                             list, columns, kFirstCopy - 1);
     for (const FrameImage* image : way.copied) {
       const FrameExtent size = image->size(options_.render, options_.output);
-      uint32_t side[2];
-      for (size_t axis = 0; axis < 2; ++axis)
-        side[axis] = pass.workgroup[axis] * way.over->divide[axis] / image->size.divide[axis];
-      const std::string past = "past_" + image->name, fetched = fmt::format("fetch_{}(at)", past);
+      const auto side = side_of(pass, way, *image);
+      const std::string past = "past_" + image->name;
+      std::string fetched = fmt::format("fetch_{}(at)", past);
+      if (has_mean && image->name == options_.frame.settles->image)
+        fetched =
+            fmt::format("entry > {}u ? mean_of({}, at) : {}", kFirstCopy - 1, fetched, fetched);
       copy.glsl += fmt::format(
           R"(  for (int i = int(gl_LocalInvocationID.x); i < {0} * {1}; i += LOCAL_X) {{
     const ivec2 at = place * ivec2({0}, {1}) + ivec2(i % {0}, i / {0});
@@ -378,7 +437,6 @@ void main() {{
     }
     copy.glsl += "}\n";
     copy.workgroups = {count, 1, 1};
-    copy.buffers = {buffer(work_, true, false)};
     copy.grid = IndirectGrid{work_, command};
     copy.is_rare = true;
     return copy;
@@ -432,9 +490,10 @@ void main() {{
   bool is_linear_;
   WeightBlob& weights_;
   Tiling tiling_;
-  std::vector<uint32_t> params_;  ///< words of the host's
-  uint32_t kept_ = 0, work_ = 0;  ///< resources
-  uint32_t counts_ = 0, left_ = 0, kept_words_ = 0, work_words_ = 0;
+  std::vector<uint32_t> params_;   ///< words of the host's
+  uint32_t kept_ = 0, work_ = 0;   ///< resources
+  std::optional<uint32_t> means_;  ///< likewise, where a device binds so much
+  uint32_t counts_ = 0, ages_ = 0, kept_words_ = 0, work_words_ = 0;
 };
 
 }  // namespace

@@ -9,8 +9,9 @@
 //   look   hashes what the host gave, tile by tile, and marks the tiles that are not settled
 //   find   of each pass the workgroups near a marked tile: a list, and a grid to dispatch by
 //
-// behind a pass that writes histories a copy of what did not run, where the ring's next image does not hold it yet, and
-// behind all of them `rest`, which sees how much of what is shown changed.
+// behind a pass that writes histories a copy of what did not run, where the ring's next image does not hold it yet (the
+// first time as the mean of what was shown while it rested, which `mean` follows), and behind all of them `rest`, which
+// sees how much of what is shown changed.
 #pragma once
 
 #include "compiler/plan/run_pass.h"

@@ -1,6 +1,6 @@
 // Finds out which workgroups of the passes run: those near a tile that is marked, and of what a pass writes into
 // histories, which workgroup's part has to be copied from the frame before: those that did not run, but in one of
-// the last frames, or all. An invocation looks at one workgroup of the pass that gl_WorkGroupID.y counts.
+// the last frames, or all; the first time with FIRST_COPY. An invocation looks at one workgroup of the pass that gl_WorkGroupID.y counts.
 //
 // Tables: of each pass ENTRY_WORDS words: columns and rows of workgroups; its list (all ones for none: it runs as a
 // whole); the grid; the word of its command; the list and the command of the copy (all ones for none); for how many
@@ -28,7 +28,7 @@ void main() {
   uint columns = tables.d[entry], rows = tables.d[entry + 1u], list = tables.d[entry + 2u];
   if (own >= columns * rows) return;
   uint command = tables.d[entry + 6u], copies = tables.d[entry + 7u], copy_command = tables.d[entry + 8u];
-  uint frames = tables.d[entry + 9u], left_at = tables.d[entry + 10u] + own, at = tables.d[entry + 11u];
+  uint frames = tables.d[entry + 9u], age_at = tables.d[entry + 10u] + own, at = tables.d[entry + 11u];
   bool runs = is_changed(0u, ROW_WORDS, tables.d[at + own % columns], tables.d[at + columns + own / columns]);
   bool is_whole = list == kNone;
   if (own == 0u) {
@@ -38,7 +38,7 @@ void main() {
   }
   if (runs && !is_whole) work.d[list + atomicAdd(work.d[command], 1u)] = own;
   if (copies == kNone) return;
-  uint left = runs ? frames : kept.d[left_at];
-  if (!runs && left > 0u) work.d[copies + atomicAdd(work.d[copy_command], 1u)] = own;
-  kept.d[left_at] = runs || frames == kNone ? frames : max(left, 1u) - 1u;
+  uint age = kept.d[age_at];
+  if (!runs && age < frames) work.d[copies + atomicAdd(work.d[copy_command], 1u)] = own | (age == 0u ? FIRST_COPY : 0u);
+  kept.d[age_at] = runs ? 0u : min(age, frames - 1u) + 1u;
 }

@@ -53,7 +53,8 @@ class Scene {
                     v = static_cast<float>(y) + frame.camera.jitter[1];
         for (const float frequency : {0.11f, 0.07f, 0.05f})
           frame.color.values.push_back(0.4f +
-                                       0.2f * std::sin(frequency * u) * std::cos(frequency * v));
+                                       0.2f * std::sin(frequency * u) * std::cos(frequency * v) +
+                                       (u > 50.1f && u < 81.9f ? 0.3f : 0.0f));
         frame.depth.values.push_back(0.5f + 0.2f * std::sin(0.01f * (u + v)));
         frame.motion.values.insert(frame.motion.values.end(), {0, 0});
       }
@@ -127,12 +128,20 @@ TEST_P(Settled, TilesStayAsTheyAreUntilSomethingHappens) {
   const double at_rest = share_;
   EXPECT_LT(at_rest, 0.4);  // copies and looks at them, which are much of such a small frame
   const FloatImage rested = own_;
-  for (uint32_t i = 0; i < 3; ++i) {  // in each image of the rings
+  FloatImage mean = own_;
+  std::fill(mean.values.begin(), mean.values.end(), 0.0f);
+  double nearest = 0;
+  for (uint32_t i = 0; i < kCycle; ++i) {  // in each image of the rings
     play_still(1);
     EXPECT_EQ(own_.values, rested.values);
     EXPECT_DOUBLE_EQ(share_, at_rest);
-    EXPECT_GT(psnr_db(whole_, own_), 45);
+    nearest = std::max(nearest, psnr_db(whole_, own_));
+    for (size_t k = 0; k < mean.values.size(); ++k)
+      mean.values[k] += whole_.values[k] / static_cast<float>(kCycle);
   }
+  EXPECT_GT(nearest, 45);
+  // It is nearer to the mean of what the whole sandwich goes on through than to any of these.
+  EXPECT_GT(psnr_db(mean, own_), nearest + 0.5);
 
   // Things that pass through, and come to lie somewhere.
   std::mt19937_64 random(kSeed);

@@ -268,6 +268,45 @@ TEST_F(MeshTest, GltfNodesStandInTheirPlaces) {
             std::string::npos);
 }
 
+TEST_F(MeshTest, GltfMaterialsCutOutAtTheirOwnCutoff) {
+  std::vector<uint8_t> buffer(36);
+  must(write_file(at("b.bin"), buffer));
+  write_tga("t.tga", 2, 1, {9, 9, 9, 100, 9, 9, 9, 200});
+  const auto text = [](const std::string& materials) {
+    return R"({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+      "images": [{"uri": "t.tga"}], "textures": [{"source": 0}], "materials": [)" +
+           materials + R"(],
+      "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+      "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+      "bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"uri": "b.bin", "byteLength": 36}]})";
+  };
+  const auto material = [](const std::string& alpha, const std::string& mask) {
+    return R"({"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, )" + alpha +
+           R"(], "baseColorTexture": {"index": 0}})" + mask + "}";
+  };
+  const std::string masks = R"(, "alphaMode": "MASK")";
+  const auto archive = open_folder(root_.string());
+  write("a.gltf",
+        text(material("1", "") + "," + material("1", masks) + "," +
+             material("1", masks + R"(, "alphaCutoff": 0.3)") + "," + material("0.5", masks) + "," +
+             material("1", masks + R"(, "alphaCutoff": 1.5)") + "," +
+             material("1", masks + R"(, "alphaCutoff": 0)")));
+  const MeshModel model = must(load_gltf(*archive, "a.gltf"));
+  // Of the two texels, of alpha 100 and 200 of 255, which stay.
+  const auto kept = [&](size_t index) {
+    const MeshMaterial& m = model.materials[index];
+    const auto& pixels = model.textures[static_cast<size_t>(m.texture)].pixels;
+    return std::array{!m.cut_out || pixels[3] >= 128, !m.cut_out || pixels[7] >= 128};
+  };
+  EXPECT_EQ(kept(0), (std::array{true, true}));
+  EXPECT_EQ(kept(1), (std::array{false, true}));
+  EXPECT_EQ(kept(2), (std::array{true, true}));
+  EXPECT_EQ(kept(3), (std::array{false, false}));
+  EXPECT_EQ(kept(4), (std::array{false, false}));
+  EXPECT_EQ(kept(5), (std::array{true, true}));
+  EXPECT_EQ(model.textures.size(), 4u);
+}
+
 // --- Rays ---
 
 TEST(Bvh, EveryBoxIsInOneLeafWithinItsParents) {

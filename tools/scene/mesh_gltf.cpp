@@ -75,15 +75,37 @@ class GltfReader {
       const double smooth = 1 - std::clamp(pbr.roughnessFactor, 0.0, 1.0);
       m.specular = static_cast<float>(0.5 * smooth);
       m.shininess = static_cast<float>(8 + 120 * smooth * smooth);
-      m.cut_out = from.alphaMode == "MASK";
       if (pbr.baseColorTexture.index >= 0) {
         SHALE_TRY(const auto* texture, item(file_.textures, pbr.baseColorTexture.index, "texture"));
         SHALE_TRY(const auto* image, item(file_.images, texture->source, "image"));
         m.texture = static_cast<int>(image - file_.images.data());
       }
+      if (from.alphaMode == "MASK") {
+        const double alpha = pbr.baseColorFactor.size() == 4 ? pbr.baseColorFactor[3] : 1;
+        SHALE_TRY_VOID(cut_out(m, alpha, from.alphaCutoff));
+      }
       model_.materials.push_back(std::move(m));
     }
     model_.materials.emplace_back();  // for what has none
+    return {};
+  }
+
+  /// What is seen of a material is where its texture's alpha times `alpha` reaches `cutoff`. Rays look for a half, so the texture
+  /// of another cutoff is one of its own, whose alpha passes a half there.
+  Result<void> cut_out(MeshMaterial& material, double alpha, double cutoff) {
+    if (!std::isfinite(alpha) || !std::isfinite(cutoff))
+      return bad_input(where_, "material \"{}\" has an alpha of {} and a cutoff of {}",
+                       material.name, alpha, cutoff);
+    if (material.texture < 0 || cutoff <= 0) return {};
+    material.cut_out = true;
+    const double scale = 0.5 * std::max(alpha, 0.0) / cutoff;
+    if (scale == 1.0) return {};
+    MeshTexture texture = model_.textures[static_cast<size_t>(material.texture)];
+    for (size_t i = 3; i < texture.pixels.size(); i += 4)
+      texture.pixels[i] = static_cast<uint8_t>(
+          std::lround(std::min(scale * static_cast<double>(texture.pixels[i]), 255.0)));
+    material.texture = static_cast<int>(model_.textures.size());
+    model_.textures.push_back(std::move(texture));
     return {};
   }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "compiler/plan/run_pass.h"
 #include "compiler/spirv/operations.h"
 
 namespace shale {
@@ -52,32 +53,38 @@ Result<FrameCost> FrameCost::create(const ModelFiles& model, const CompileOption
 Result<std::vector<PassWork>> FrameCost::passes(FrameExtent render, FrameExtent output,
                                                 const Graph* graph) const {
   const Frame& frame = *model_->frame;
-  const auto passes_of_first = static_cast<size_t>(
-      std::count_if(frame.programs[0].passes.begin(), frame.programs[0].passes.end(),
-                    [](const FramePass& pass) { return pass.graph.empty(); }));
+  std::vector<const FramePromise*> kept;
+  if (options_.needs) kept = kept_promises(frame, *options_.needs, render);
+  std::vector<FramePass> passes;
+  for (const FrameProgram& program : frame.programs) {
+    for (RunPass& run : run_passes(program, kept))  // generated ones are next to nothing
+      if (!run.pass.shader.empty() && run.runs != Runs::kBroken)
+        passes.push_back(std::move(run.pass));
+    if (!frame.chosen_by.empty())
+      break;  // of programs that a parameter chooses among, a frame runs one
+  }
   std::vector<PassWork> works;
-  for (const FramePass* pass : shader_passes(frame)) {
-    // Of programs that a parameter chooses among, a frame runs one.
-    if (!frame.chosen_by.empty() && works.size() == passes_of_first) break;
-    PassWork work{.name = pass->name};
+  for (const FramePass& pass : passes) {
+    PassWork work{.name = pass.name};
     double pixels = 0;
-    if (pass->over_size) {
-      const FrameExtent grid = (*pass->over_size)(render, output);
+    if (pass.over_size) {
+      const FrameExtent grid = (*pass.over_size)(render, output);
       pixels = static_cast<double>(grid.width) * grid.height;
-    } else if (const auto over = extent_of(frame, pass->over, render, output, graph)) {
+    } else if (const auto over = extent_of(frame, pass.over, render, output, graph)) {
       pixels = over->pixels;
     }
-    if (const auto known = operations_.find(pass->name); known != operations_.end())
+    if (const auto known = operations_.find(pass.name); known != operations_.end())
       work.operations = known->second * pixels;
     const auto add = [&](const std::string& name, int times) -> Result<void> {
+      if (name == kBrokenImage) return {};  // a word
       const std::optional<Extent> extent = extent_of(frame, name, render, output, graph);
       if (!extent)
-        return bad_input("pass \"" + pass->name + "\"", "there is no image or tensor \"{}\"", name);
+        return bad_input("pass \"" + pass.name + "\"", "there is no image or tensor \"{}\"", name);
       work.bytes += extent->bytes * times;
       return {};
     };
-    for (const std::string& name : pass->clears) SHALE_TRY_VOID(add(name, 1));
-    for (const FrameBinding& binding : pass->bindings) {
+    for (const std::string& name : pass.clears) SHALE_TRY_VOID(add(name, 1));
+    for (const FrameBinding& binding : pass.bindings) {
       SHALE_TRY_VOID(add(binding.name, int{binding.reads} + int{binding.writes}));
       for (const FrameImage& image : frame.images)
         if (binding.writes && image.shows == binding.name) SHALE_TRY_VOID(add(image.name, 1));

@@ -16,6 +16,7 @@
 #include "tools/shale/cost_page.h"
 #include "tools/shale/evaluate.h"
 #include "tools/shale/frame_cost.h"
+#include "tools/shale/measure_needs.h"
 #include "tools/shale/report.h"
 #include "tools/shale/source.h"
 
@@ -29,12 +30,14 @@ struct Arguments {
   std::vector<double> scales{2};
   std::string folder, output = "1920x1080", model_at, device = "mobile";
   uint32_t frames = 16;
-  double frame_ms = 4, slack_db = 0.25;
-  bool fresh = false, json = false;
+  std::vector<double> slacks_db{0.1, 0.3};
+  std::vector<uint32_t> tiles;
+  double frame_ms = 4;
+  bool specialised = false, fresh = false, json = false;
   DeviceArguments tool;
 };
 
-constexpr const char* kTradeSchema = "shale-trade/1";
+constexpr const char* kTradeSchema = "shale-trade/2";
 
 uint64_t hash_text(const std::string& text, uint64_t seed) {
   return stable_hash({reinterpret_cast<const uint8_t*>(text.data()), text.size()}, seed);
@@ -60,19 +63,27 @@ Result<uint64_t> hash_program() {
   return stable_hash(bytes);
 }
 
-/// A model in one precision.
+/// A model in one precision, whole or in one of the forms that leave work out.
 struct Contender {
   std::string path, precision;  ///< precision is empty without a network
   ModelFiles files;
   uint64_t hash = 0;  ///< of the model, its frame.json and its shaders
+  std::optional<uint32_t> tiles = {};
+  bool is_specialised = false;  ///< a package for what each scene needs
 
   bool is_baseline() const { return files.bytes.empty(); }
-  std::string name() const { return is_baseline() ? files.name : files.name + " " + precision; }
-  /// For the device at hand, if there is one.
-  CompileArguments compile(const DeviceArguments* device = nullptr) const {
+  std::string name() const {
+    std::string name = is_baseline() ? files.name : files.name + " " + precision;
+    if (tiles) name += fmt::format(", tiles {}", *tiles);
+    return is_specialised ? name + ", as the scene needs" : name;
+  }
+  /// For the device at hand, if there is one, and the needs of a scene in a file.
+  CompileArguments compile(const DeviceArguments* device, const std::string& needs) const {
     CompileArguments arguments;
     arguments.device = device;
     arguments.precision = precision.empty() ? arguments.precision : precision;
+    arguments.tiles = tiles;
+    if (is_specialised) arguments.needs = needs;
     return arguments;
   }
 };
@@ -95,14 +106,24 @@ Result<Contender> contender_of(const std::string& path, const std::string& preci
   return contender;
 }
 
-/// Every model in every precision; a baseline once.
+/// Every model in every precision, a baseline once; behind each its forms.
 Result<std::vector<Contender>> contenders_of(const Arguments& arguments) {
   std::vector<Contender> contenders;
   for (const std::string& path : arguments.models)
     for (const std::string& precision : arguments.precisions) {
       SHALE_TRY(Contender contender, contender_of(path, precision));
-      contenders.push_back(std::move(contender));
-      if (contenders.back().is_baseline()) break;
+      const bool is_baseline = contender.is_baseline();
+      contenders.push_back(contender);
+      if (arguments.specialised && !contender.files.frame->promises.empty()) {
+        contenders.push_back(contender);
+        contenders.back().is_specialised = true;
+      }
+      for (const uint32_t tolerance : arguments.tiles) {
+        if (is_baseline) break;  // tiles are the network's
+        contenders.push_back(contender);
+        contenders.back().tiles = tolerance;
+      }
+      if (is_baseline) break;
     }
   std::set<std::string> names;
   for (const Contender& contender : contenders)
@@ -130,7 +151,8 @@ bool offers(const Contender& contender, const Sizes& sizes) {
 // Frames.
 
 struct SceneFrames {
-  std::string name, path;
+  Scene scene;
+  std::string path;
   uint64_t hash = 0;  ///< of the scene, and of the program that renders it
 };
 
@@ -143,10 +165,10 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
   const std::string sampled = pattern_text(pattern);
   const uint64_t hash =
       stable_hash({reinterpret_cast<const uint8_t*>(sampled.data()), sampled.size()}, scene.hash);
-  const fs::path folder =
-      fs::path(arguments.folder) / "frames" /
-      fmt::format("{}-{}x{}-{}x{}-{}-{:016x}", scene.name, sizes.render.width, sizes.render.height,
-                  sizes.output.width, sizes.output.height, arguments.frames, hash);
+  const fs::path folder = fs::path(arguments.folder) / "frames" /
+                          fmt::format("{}-{}x{}-{}x{}-{}-{:016x}", scene.scene.name,
+                                      sizes.render.width, sizes.render.height, sizes.output.width,
+                                      sizes.output.height, arguments.frames, hash);
   std::error_code ignored;
   if (fs::exists(folder / "0000.json", ignored)) return open_dataset(folder.string(), source);
   const Extent render{sizes.render.width, sizes.render.height},
@@ -160,7 +182,7 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
                                    .output = output,
                                    .sampling = pattern_name(pattern),
                                    .jitter_phases = jitter_phases(render, output, pattern)}));
-  Progress progress("rendering " + scene.name);
+  Progress progress("rendering " + scene.scene.name);
   for (uint32_t i = 0; i < rendered->frame_count(); ++i) {
     if (!progress.step(i, rendered->frame_count()))
       return bad_input(scene.path, "interrupted after {} frames", i);
@@ -173,9 +195,46 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
 
 // Cells.
 
+/// A cell that the folder holds, or what `make` gives, which it holds from then on.
+template <typename Make>
+Result<Json> kept(const Arguments& arguments, const Json& key, const Make& make) {
+  const std::string file = (fs::path(arguments.folder) / "cells" /
+                            fmt::format("{:016x}.json", hash_text(key.dump(), kHashSeed)))
+                               .string();
+  std::error_code ignored;
+  if (!arguments.fresh && fs::exists(file, ignored)) {
+    SHALE_TRY(const std::string text, read_text(file));
+    const Json held = Json::parse(text, nullptr, false);
+    if (held.is_object() && held.value("key", Json()) == key && !held["result"].is_null())
+      return held["result"];
+  }
+  SHALE_TRY(Json cell, make());
+  SHALE_TRY_VOID(write_text(file, json_text({{"key", key}, {"result", cell}})));
+  return cell;
+}
+
+/// What a scene's frames at these sizes need.
+Result<SceneNeeds> needs_of(const Arguments& arguments, const SceneFrames& scene,
+                            FrameSource& source, const Sizes& sizes) {
+  const Json key{{"needs_of", scene.hash},
+                 {"render", {sizes.render.width, sizes.render.height}},
+                 {"frames", arguments.frames}};
+  SHALE_TRY(const Json cell, kept(arguments, key, [&]() -> Result<Json> {
+              NeedsMeter meter;
+              for (uint32_t i = 0; i < source.frame_count(); ++i) {
+                SHALE_TRY(const SourceFrame frame, source.frame(i, false));
+                SHALE_TRY_VOID(meter.add(frame));
+              }
+              return Json::parse(
+                  needs_text(needs_of_scene(scene.scene, 0, source.frame_count(), meter.needs())));
+            }));
+  return parse_needs(cell.dump());
+}
+
 /// What the method would take on the modelled device, for results of `at` at the same scale.
-Result<Json> modelled(const Contender& contender, const Sizes& at, const ModelledDevice& device) {
-  SHALE_TRY(CompileOptions options, contender.compile().options(contender.files));
+Result<Json> modelled(const Contender& contender, const std::string& needs, const Sizes& at,
+                      const ModelledDevice& device) {
+  SHALE_TRY(CompileOptions options, contender.compile(nullptr, needs).options(contender.files));
   options.sizes = {at.render, at.output};
   SHALE_TRY(const FrameCost cost, FrameCost::create(contender.files, options));
   SHALE_TRY(const FrameCost::Modelled modelled, cost.at(options.sizes, device));
@@ -186,6 +245,20 @@ Result<Json> modelled(const Contender& contender, const Sizes& at, const Modelle
               {"passes_ms", 1e-3 * modelled.frame.passes_us},
               {"passes", passes_json(modelled.frame)},
               {"total_ms", 1e-3 * modelled.frame.total_us()}};
+}
+
+/// Of the modelled times what a share of frames takes that ran here, by their predicted time: of the network, and of the
+/// passes, too, where these leave out what rests.
+void take_share(Json& row, const Contender& contender) {
+  if (!row["share_run"].is_number()) return;
+  const double share = row["share_run"].get<double>();
+  Json& times = row["modelled"];
+  const auto scale = [&](const char* key) { times[key] = times[key].get<double>() * share; };
+  scale("network_ms");
+  scale("energy_mj");
+  scale("gop");
+  if (*contender.tiles > 0 && contender.files.frame->settles) scale("passes_ms");
+  times["total_ms"] = times["network_ms"].get<double>() + times["passes_ms"].get<double>();
 }
 
 double median(std::vector<double> values) {
@@ -200,6 +273,7 @@ Result<Json> measure(FrameSource& source, std::vector<PlayedMethod>& method) {
   const auto put = [&](const char* key, const std::optional<double>& value) {
     json[key] = value ? finite_json(*value) : Json(nullptr);
   };
+  put("share_run", scene.methods[0].share_run);
   put("psnr_db", means.psnr_db);
   put("ssim", means.ssim);
   put("flip", means.flip);
@@ -233,9 +307,41 @@ void mark_front(Json& rows, const char* quality, bool less, const Json::json_poi
   }
 }
 
-/// The best method under the budget, and the cheapest that is nearly as good.
-Json choose(const Json& rows, const Arguments& arguments) {
-  const Json *best = nullptr, *enough = nullptr, *baseline = nullptr;
+/// What a scene needs, in words: what makes histories and networks pay, and what spares them.
+struct NeedsInWords {
+  std::vector<std::string> asks, spares;
+};
+
+NeedsInWords in_words(const SceneNeeds& needs) {
+  NeedsInWords words;
+  const auto tell = [&](const std::optional<bool>& has, const char* with, const char* without) {
+    if (has) (*has ? words.asks : words.spares).emplace_back(*has ? with : without);
+  };
+  tell(needs.thin_features, "it has thin features", "it has no thin features");
+  if (needs.camera_moves && needs.objects_move) {
+    const std::string pixels =
+        needs.motion_pixels ? fmt::format(" up to {:.1f} pixels a frame", *needs.motion_pixels)
+                            : "";
+    if (*needs.camera_moves || *needs.objects_move)
+      words.asks.push_back(fmt::format("{} by{}",
+                                       !*needs.objects_move  ? "the camera moves"
+                                       : *needs.camera_moves ? "camera and objects move"
+                                                             : "objects move before a still camera",
+                                       pixels.empty() ? " some pixels" : pixels));
+    else
+      words.spares.emplace_back("nothing moves");
+  }
+  tell(needs.light_changes, "light changes without motion", "no light changes");
+  if (needs.cuts.value_or(false)) words.asks.emplace_back("it cuts");
+  if (needs.exposed && (*needs.exposed)[1] > 4)
+    words.asks.push_back(fmt::format("its lights reach {:.3g} times white", (*needs.exposed)[1]));
+  return words;
+}
+
+/// The best method under the budget, and for each slack the cheapest that is nearly as good, with what of the scene speaks
+/// for it.
+Json choose(const Json& rows, const Arguments& arguments, const NeedsInWords& words) {
+  const Json *best = nullptr, *baseline = nullptr;
   const auto psnr = [](const Json& row) { return row["psnr_db"].get<double>(); };
   const auto time = [](const Json& row) { return row["modelled"]["total_ms"].get<double>(); };
   const auto fits = [&](const Json& row) {
@@ -247,19 +353,24 @@ Json choose(const Json& rows, const Arguments& arguments) {
     if (row["baseline"].get<bool>() && (!baseline || psnr(row) > psnr(*baseline))) baseline = &row;
   }
   if (!best) return nullptr;
-  for (const Json& row : rows)
-    if (fits(row) && psnr(row) >= psnr(*best) - arguments.slack_db &&
-        (!enough || time(row) < time(*enough)))
-      enough = &row;
   Json json{{"best", (*best)["name"]},
             {"best_scale", (*best)["scale"]},
             {"best_psnr_db", psnr(*best)},
             {"best_ms", time(*best)},
-            {"enough", (*enough)["name"]},
-            {"enough_scale", (*enough)["scale"]},
-            {"enough_psnr_db", psnr(*enough)},
-            {"enough_ms", time(*enough)},
-            {"baseline_is_enough", (*enough)["baseline"]}};
+            {"within", Json::array()}};
+  for (const double slack : arguments.slacks_db) {
+    const Json* enough = best;
+    for (const Json& row : rows)
+      if (fits(row) && psnr(row) >= psnr(*best) - slack && time(row) < time(*enough)) enough = &row;
+    const bool is_baseline = (*enough)["baseline"].get<bool>();
+    json["within"].push_back({{"slack_db", slack},
+                              {"name", (*enough)["name"]},
+                              {"scale", (*enough)["scale"]},
+                              {"psnr_db", psnr(*enough)},
+                              {"ms", time(*enough)},
+                              {"needs_network", !is_baseline},
+                              {"why", is_baseline ? words.spares : words.asks}});
+  }
   if (baseline) {
     json["best_baseline"] = (*baseline)["name"];
     json["best_baseline_psnr_db"] = psnr(*baseline);
@@ -268,26 +379,30 @@ Json choose(const Json& rows, const Arguments& arguments) {
   return json;
 }
 
-/// Means over the scenes that every contender of a scale has.
+/// Means over the scenes, of what all of them have.
 Json overall(const Json& scenes) {
-  Json rows = scenes[0]["methods"];
-  for (Json& row : rows) {
-    for (const char* key : {"psnr_db", "ssim", "flip", "if_ssim", "measured_ms"}) {
+  Json rows = Json::array();
+  for (Json row : scenes[0]["methods"]) {
+    const auto average = [&](const Json::json_pointer& at) {
       double sum = 0;
       size_t count = 0;
       for (const Json& scene : scenes)
         for (const Json& other : scene["methods"])
           if (other["name"] == row["name"] && other["scale"] == row["scale"] &&
-              other[key].is_number())
-            sum += other[key].get<double>(), ++count;
-      row[key] = count == scenes.size() ? Json(sum / static_cast<double>(count)) : Json(nullptr);
-    }
-    row.erase("fronts");
+              other[at].is_number())
+            sum += other[at].get<double>(), ++count;
+      row[at] = count == scenes.size() ? Json(sum / static_cast<double>(count)) : Json(nullptr);
+    };
+    for (const char* key : {"/psnr_db", "/ssim", "/flip", "/if_ssim", "/measured_ms", "/share_run",
+                            "/modelled/gop", "/modelled/network_ms", "/modelled/energy_mj",
+                            "/modelled/passes_ms", "/modelled/total_ms"})
+      average(Json::json_pointer(key));
+    if (row["psnr_db"].is_number()) rows.push_back(std::move(row));
   }
   return rows;
 }
 
-void finish(Json& scene, const Arguments& arguments) {
+void finish(Json& scene, const Arguments& arguments, const NeedsInWords& words) {
   Json& rows = scene["methods"];
   for (Json& row : rows) row["fronts"] = Json::array();
   const Json::json_pointer time("/modelled/total_ms"), gop("/modelled/gop");
@@ -295,7 +410,7 @@ void finish(Json& scene, const Arguments& arguments) {
   mark_front(rows, "flip", true, time, "flip over ms");
   mark_front(rows, "if_ssim", false, time, "if_ssim over ms");
   mark_front(rows, "psnr_db", false, gop, "psnr_db over GOP");
-  scene["choice"] = choose(rows, arguments);
+  scene["choice"] = choose(rows, arguments, words);
 }
 
 void print_scene(const Json& scene) {
@@ -326,10 +441,15 @@ void print_scene(const Json& scene) {
              cell(choice["best_ms"], 2));
   if (choice.contains("gain_db"))
     fmt::print("; {} dB above {}", cell(choice["gain_db"], 2), text("best_baseline"));
-  fmt::print("\n  enough: {} at x{}, {} dB, {} ms{}\n", text("enough"),
-             cell(choice["enough_scale"], 2), cell(choice["enough_psnr_db"], 2),
-             cell(choice["enough_ms"], 2),
-             choice["baseline_is_enough"].get<bool>() ? ": no network is needed" : "");
+  fmt::print("\n");
+  for (const Json& within : choice["within"])
+    fmt::print(
+        "  enough within {} dB: {} at x{}, {} dB, {} ms{}{}\n", cell(within["slack_db"], 2),
+        within["name"].get<std::string>(), cell(within["scale"], 2), cell(within["psnr_db"], 2),
+        cell(within["ms"], 2), within["needs_network"].get<bool>() ? "" : "; no network is needed",
+        within["why"].empty()
+            ? ""
+            : fmt::format(": {}", fmt::join(within["why"].get<std::vector<std::string>>(), ", ")));
 }
 
 Result<int> trade(const Arguments& arguments) {
@@ -344,9 +464,9 @@ Result<int> trade(const Arguments& arguments) {
   SHALE_TRY(const uint64_t program, hash_program());
   std::vector<SceneFrames> scenes;
   for (const std::string& path : arguments.scenes) {
-    SHALE_TRY(const Scene scene, load_scene(path));
+    SHALE_TRY(Scene scene, load_scene(path));
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-    scenes.push_back({scene.name, path, stable_hash(bytes, program)});
+    scenes.push_back({std::move(scene), path, stable_hash(bytes, program)});
   }
   const fs::path cells = fs::path(arguments.folder) / "cells";
   std::error_code error;
@@ -360,10 +480,10 @@ Result<int> trade(const Arguments& arguments) {
             {"modelled_output", {model_at.width, model_at.height}},
             {"output", {output.width, output.height}},
             {"frame_ms", arguments.frame_ms},
-            {"slack_db", arguments.slack_db},
+            {"slacks_db", arguments.slacks_db},
             {"scenes", Json::array()}};
   for (const SceneFrames& scene : scenes)
-    json["scenes"].push_back({{"name", scene.name}, {"methods", Json::array()}});
+    json["scenes"].push_back({{"name", scene.scene.name}, {"methods", Json::array()}});
   size_t done = 0, all = 0;
   for (const double scale : arguments.scales)
     for (const Contender& contender : contenders)
@@ -371,64 +491,83 @@ Result<int> trade(const Arguments& arguments) {
   if (all == 0)
     return bad_input("--scales", "no model offers any of these scales at {}", arguments.output);
   Progress progress("cells");
-  {
-    for (const double scale : arguments.scales) {
-      const Sizes sizes = sizes_of(output, scale);
-      for (const Contender& contender : contenders) {
-        if (!offers(contender, sizes)) continue;
-        Result<Json> model = modelled(contender, sizes_of(model_at, scale), *device);
-        if (!model) return in_file(contender.files.path, model.error());
-        std::vector<PlayedMethod> method;  // made for the first scene that is not there yet
-        for (size_t s = 0; s < scenes.size(); ++s) {
-          if (!progress.step(done++, all)) return bad_input("", "interrupted; run again to go on");
-          const Json key{{"program", program},
-                         {"scene", scenes[s].hash},
-                         {"model", contender.hash},
-                         {"render", {sizes.render.width, sizes.render.height}},
-                         {"output", {output.width, output.height}},
-                         {"frames", arguments.frames},
-                         {"device", tool.context().caps.name},
-                         {"driver", tool.context().caps.driver}};
-          const std::string file =
-              (cells / fmt::format("{:016x}.json", hash_text(key.dump(), kHashSeed))).string();
-          Json cell;
-          std::error_code ignored;
-          if (!arguments.fresh && fs::exists(file, ignored)) {
-            SHALE_TRY(const std::string text, read_text(file));
-            const Json kept = Json::parse(text, nullptr, false);
-            if (kept.is_object() && kept.value("key", Json()) == key) cell = kept["result"];
-          }
-          if (cell.is_null()) {
-            SHALE_TRY(const std::unique_ptr<FrameSource> source,
-                      frames_of(arguments, tool, scenes[s], sizes, contender.files.frame->pattern));
-            if (method.empty()) {
-              SHALE_TRY(const Sandwich sandwich,
-                        load_sandwich(contender.path, contender.compile(&arguments.tool),
-                                      Extent{sizes.render.width, sizes.render.height},
-                                      Extent{output.width, output.height}));
-              method.push_back({contender.name(), nullptr});
-              SHALE_TRY(method[0].player, Player::create(tool, sandwich.package));
-            }
-            SHALE_TRY(cell, measure(*source, method));
-            SHALE_TRY_VOID(write_text(file, json_text({{"key", key}, {"result", cell}})));
-          }
-          Json row{{"name", contender.name()},
-                   {"model", contender.files.name},
-                   {"precision", contender.precision},
-                   {"baseline", contender.is_baseline()},
-                   {"scale", scale}};
-          row.update(cell);
-          row["modelled"] = *model;
-          json["scenes"][s]["methods"].push_back(std::move(row));
+  std::vector<NeedsInWords> words(scenes.size());
+  for (const double scale : arguments.scales) {
+    const Sizes sizes = sizes_of(output, scale);
+    std::vector<SceneNeeds> needs(scenes.size());
+    std::vector<std::string> needs_files(scenes.size());
+    for (size_t s = 0; s < scenes.size(); ++s) {
+      SHALE_TRY(const std::unique_ptr<FrameSource> source,
+                frames_of(arguments, tool, scenes[s], sizes, {}));
+      SHALE_TRY(needs[s], needs_of(arguments, scenes[s], *source, sizes));
+      if (scale == arguments.scales.front()) {
+        words[s] = in_words(needs[s]);
+        json["scenes"][s]["needs"] = Json::parse(needs_text(needs[s]));
+      }
+      needs_files[s] = (cells / fmt::format("{}-{}x{}.needs", scenes[s].scene.name,
+                                            sizes.render.width, sizes.render.height))
+                           .string();
+      SHALE_TRY_VOID(write_text(needs_files[s], needs_text(needs[s])));
+    }
+    for (const Contender& contender : contenders) {
+      if (!offers(contender, sizes)) continue;
+      std::optional<Json> model;         // where it is the same for all scenes
+      std::vector<PlayedMethod> method;  // made for the first scene that is not there yet
+      for (size_t s = 0; s < scenes.size(); ++s) {
+        if (!progress.step(done++, all)) return bad_input("", "interrupted; run again to go on");
+        if (contender.is_specialised) {
+          if (kept_promises(*contender.files.frame, needs[s], sizes.render).empty()) continue;
+          method.clear();
+          model.reset();
         }
+        if (!model) {
+          Result<Json> costs =
+              modelled(contender, needs_files[s], sizes_of(model_at, scale), *device);
+          if (!costs) return in_file(contender.files.path, costs.error());
+          model = *std::move(costs);
+        }
+        Json key{{"program", program},
+                 {"scene", scenes[s].hash},
+                 {"model", contender.hash},
+                 {"render", {sizes.render.width, sizes.render.height}},
+                 {"output", {output.width, output.height}},
+                 {"frames", arguments.frames},
+                 {"device", tool.context().caps.name},
+                 {"driver", tool.context().caps.driver}};
+        if (contender.tiles) key["tiles"] = *contender.tiles;
+        if (contender.is_specialised) key["needs"] = needs_text(needs[s]);
+        SHALE_TRY(Json cell, kept(arguments, key, [&]() -> Result<Json> {
+                    SHALE_TRY(const std::unique_ptr<FrameSource> source,
+                              frames_of(arguments, tool, scenes[s], sizes,
+                                        contender.files.frame->pattern));
+                    if (method.empty()) {
+                      SHALE_TRY(const Sandwich sandwich,
+                                load_sandwich(contender.path,
+                                              contender.compile(&arguments.tool, needs_files[s]),
+                                              Extent{sizes.render.width, sizes.render.height},
+                                              Extent{output.width, output.height}));
+                      method.push_back({contender.name(), nullptr});
+                      SHALE_TRY(method[0].player, Player::create(tool, sandwich.package));
+                    }
+                    return measure(*source, method);
+                  }));
+        Json row{{"name", contender.name()},
+                 {"model", contender.files.name},
+                 {"precision", contender.precision},
+                 {"baseline", contender.is_baseline()},
+                 {"scale", scale}};
+        row.update(cell);
+        row["modelled"] = *model;
+        if (contender.tiles) take_share(row, contender);
+        json["scenes"][s]["methods"].push_back(std::move(row));
       }
     }
   }
   SHALE_TRY_VOID(tool.close());
   json["overall"] = {{"name", fmt::format("mean of {} scenes", scenes.size())},
                      {"methods", overall(json["scenes"])}};
-  for (Json& scene : json["scenes"]) finish(scene, arguments);
-  finish(json["overall"], arguments);
+  for (size_t s = 0; s < scenes.size(); ++s) finish(json["scenes"][s], arguments, words[s]);
+  finish(json["overall"], arguments, {});
   const fs::path folder(arguments.folder);
   SHALE_TRY_VOID(write_text((folder / "trade.json").string(), json_text(json)));
   SHALE_TRY_VOID(
@@ -474,9 +613,16 @@ Action add_trade(CLI::App& app) {
       ->check(CLI::Range(2, 10000));
   app.add_option("--frame-ms", arguments->frame_ms, "budget of passes and network together")
       ->check(CLI::Range(0.0, 1e6));
-  app.add_option("--slack-db", arguments->slack_db,
-                 "the cheapest method so close to the best one's PSNR is enough")
+  app.add_option("--slack-db", arguments->slacks_db,
+                 "the cheapest method so close to the best one's PSNR is enough; several distances")
+      ->delimiter(',')
       ->check(CLI::Range(0.0, 100.0));
+  app.add_option("--tiles", arguments->tiles,
+                 "also the networks by tiles, for each of these tolerances (compile --tiles)")
+      ->delimiter(',')
+      ->check(CLI::Range(0u, kMaxTileTolerance));
+  app.add_flag("--specialised", arguments->specialised,
+               "also packages that leave out what a scene rules out (compile --needs)");
   app.add_flag("--fresh", arguments->fresh, "measure again what the folder holds already");
   add_device_options(app, arguments->tool);
   app.add_flag("--json", arguments->json, "print the result as JSON");

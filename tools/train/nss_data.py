@@ -330,10 +330,11 @@ def _gains(rng: np.random.Generator, batch: int, frames: int) -> torch.Tensor:
 
 
 def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, frames: int, augment: bool = True,
-         device: str = "cpu", full: tuple[int, int] | None = None) -> Sequence:
+         device: str = "cpu", full: tuple[int, int] | None = None, known: float = KNOWN) -> Sequence:
     """A random sequence. All crops share the jitter of their frames, because the kernel tables do.
 
-    crop: side in render pixels at ratio 2, see `crop_size`; full: (w, h) of the whole picture at ratio 2. Errors:
+    crop: side in render pixels at ratio 2, see `crop_size`; full: (w, h) of the whole picture at ratio 2; known: share of
+    the sequences that start with the truth as history. Errors:
     ValueError when no clip has `frames` frames without a cut.
     """
     for _ in range(1000):
@@ -346,7 +347,7 @@ def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, fra
     else:
         raise ValueError(f"no clip has {frames} frames without a cut")
     side, ratio = crop_size(lead, crop)
-    known = augment and rng.random() < KNOWN
+    starts_known = augment and rng.random() < known
     jitter = lead.jitter[start : start + frames]
     fitting = [(c, s) for c in clips if c.render == lead.render and c.output == lead.output
                and c.reverse == lead.reverse for s in range(len(c.jitter) - frames + 1)
@@ -354,8 +355,9 @@ def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, fra
                and not any(c.cut[s + 1 : s + frames])]
     order = rng.permutation(len(fitting))
     chosen, starts = zip(*(fitting[order[i % len(fitting)]] for i in range(batch)))
-    known = known and all(s > 0 and not c.cut[s] and c.jitter[s - 1] == lead.jitter[start - 1] and start > 0
-                          for c, s in zip(chosen, starts))
+    starts_known = starts_known and all(
+        s > 0 and not c.cut[s] and c.jitter[s - 1] == lead.jitter[start - 1] and start > 0
+        for c, s in zip(chosen, starts))
     # Corners are whole pixels of both pictures, and keep the phase of 4x4 blocks.
     step = math.lcm(4, ratio.denominator)
     corners = [tuple(int(rng.integers((size - side) // step + 1)) * step for size in lead.render) for _ in chosen]
@@ -370,4 +372,4 @@ def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, fra
         how, gain = Augmentation(), torch.ones(batch, 1, 1, frames)
     if full is not None:
         full = tuple(round(2 * size / ratio) for size in full)
-    return Sequence(list(chosen), list(starts), corners, side, ratio, how, gain, device, full, light, known)
+    return Sequence(list(chosen), list(starts), corners, side, ratio, how, gain, device, full, light, starts_known)

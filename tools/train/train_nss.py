@@ -219,7 +219,7 @@ def calibrate(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Name
         for index in range(CALIBRATION_SEQUENCES):
             rng = np.random.default_rng([options.seed, 10**9, index])
             rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                                   device=options.device, full=FULL), options)
+                                                   device=options.device, full=FULL, known=options.known), options)
             for t in range(options.frames):
                 rollout.step(t)
     model.calibrated()
@@ -246,7 +246,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     model = model.to(memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in ("mode", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
-                                                     "qat", "minutes", *WEIGHTS)}
+                                                     "qat", "minutes", "known", *WEIGHTS)}
     record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
     start = 0
@@ -270,7 +270,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     def rollout_at(step: int) -> Rollout:
         rng = np.random.default_rng([options.seed, step])
         return Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                            device=options.device, full=FULL), options)
+                                            device=options.device, full=FULL, known=options.known), options)
 
     return training.run_sequences(model, optimizer, record, options, start, rollout_at, learning_rate, report, stop_after,
                                   options.minutes)
@@ -285,6 +285,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--mode", choices=sorted(passes.MODES), required=True)
     for name, (default, what) in WEIGHTS.items():
         parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
+    parser.add_argument("--known", type=float, default=nss_data.KNOWN, metavar="SHARE",
+                        help=f"of the sequences that start with the truth as history (default: {nss_data.KNOWN:g})")
     parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
     parser.add_argument("--init", type=Path, nargs="+", metavar="FILE",
                         help="checkpoint or weights to start from, of any mode; the mean of several")
@@ -296,6 +298,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name in WEIGHTS:
         if not 0 <= getattr(options, name) <= 100:
             raise ValueError(f"--{name} must lie in 0 to 100, found {getattr(options, name)}")
+    if not 0 <= options.known <= 1:
+        raise ValueError(f"--known must lie in 0 to 1, found {options.known}")
     if not 0 <= options.minutes <= 10**5:
         raise ValueError(f"--minutes must lie in 0 to 100000, found {options.minutes}")
     if options.crop % 16:

@@ -32,9 +32,11 @@
     if (choice) {
       const gain = choice.gain_db === undefined ? "" : `, ${choice.gain_db.toFixed(2)} dB above the best baseline that fits, ${choice.best_baseline}`;
       element("p", `Best under the budget: ${choice.best} at x${choice.best_scale}, ${choice.best_psnr_db.toFixed(2)} dB, ${choice.best_ms.toFixed(2)} ms${gain}.`);
-      element("p", choice.baseline_is_enough
-        ? `Enough: ${choice.enough} at x${choice.enough_scale}, within ${data.slack_db} dB of the best: this scene needs no network.`
-        : `Enough: ${choice.enough} at x${choice.enough_scale}, ${choice.enough_psnr_db.toFixed(2)} dB, ${choice.enough_ms.toFixed(2)} ms: the cheapest within ${data.slack_db} dB of the best.`);
+      for (const within of choice.within) {
+        const why = within.why.length ? `: ${within.why.join(", ")}` : "";
+        element("p", `Enough within ${within.slack_db} dB: ${within.name} at x${within.scale}, ${within.psnr_db.toFixed(2)} dB, ${within.ms.toFixed(2)} ms. `
+          + (within.needs_network ? `The scene asks for a network${why}.` : `The scene needs no network${why}.`));
+      }
     } else element("p", "Nothing fits the budget.");
     const place = group();
     const time = (row) => row.modelled.total_ms;
@@ -48,7 +50,7 @@
       { title: "IF-SSIM", unit: "higher", at: "/if_ssim", digits: 4, better: 1 }, { title: "work", unit: "GOP", at: "/modelled/gop", digits: 2 },
       { title: "passes", unit: "ms, modelled", at: "/modelled/passes_ms", digits: 2 }, { title: "network", unit: "ms, modelled", at: "/modelled/network_ms", digits: 2 },
       { title: "frame", unit: "ms, modelled", at: "/modelled/total_ms", digits: 2 }, { title: "energy", unit: "mJ, estimate", at: "/modelled/energy_mj", digits: 1 },
-      { title: "frame", unit: "ms, measured", at: "/measured_ms", digits: 1 },
+      { title: "frame", unit: "ms, measured", at: "/measured_ms", digits: 1 }, { title: "run", unit: "share, by tiles", at: "/share_run", digits: 2 },
     ], scene.methods.map((_, i) => `${pointer}/methods/${i}`));
   };
   show(data.overall, "/overall");
