@@ -80,10 +80,9 @@ void shale_package_destroy(ShalePackage* package);
 /* When the fast kernels are compiled that have start forms in the package. A record takes for each dispatch what is
  * there by then; results are the same, bit for bit. */
 typedef enum ShaleCompile {
-  SHALE_COMPILE_AT_ONCE = 0, /* before shale_loop_create returns */
-  SHALE_COMPILE_IN_BACKGROUND =
-      1,                    /* by threads that the loop owns and ends, from the second frame on */
-  SHALE_COMPILE_BY_HOST = 2 /* by shale_loop_compile_one, on threads of the host's */
+  SHALE_COMPILE_AT_ONCE = 0,       /* before shale_loop_create returns */
+  SHALE_COMPILE_IN_BACKGROUND = 1, /* by threads that the loop owns and ends, after a frame */
+  SHALE_COMPILE_BY_HOST = 2        /* by shale_loop_compile_one, on threads of the host's */
 } ShaleCompile;
 
 typedef struct ShaleLoopInfo {
