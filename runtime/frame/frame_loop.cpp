@@ -40,7 +40,7 @@ struct Slot {
   std::vector<size_t> own_sets;     // those that no other slot has, as indices of descriptors
   std::vector<uint32_t> positions;  // of the program's histories when own_sets were written
   uint64_t bindings = 0;            // State::bindings when they were written; 0 is never
-  vk::Buffer commands;              // of a program with Tiles: what its indirect_grids held
+  vk::Buffer commands;              // of a program that runs in parts: what its indirect_grids held
 };
 
 struct Program {
@@ -248,12 +248,15 @@ Result<void> FrameLoop::State::create_sets(uint32_t frames_in_flight) {
 
 Result<void> FrameLoop::State::create_command_copies() {
   for (Program& program : programs) {
-    if (std::ranges::none_of(segments(program), [](const Segment& each) { return !!each.tiles; }))
+    const size_t grids = indirect_grids(segments(program)).size();
+    // Those of a promise choose between forms, which says nothing of how much ran.
+    if (grids == 0 ||
+        (kernels->variant().promise &&
+         std::ranges::none_of(segments(program), [](const Segment& each) { return !!each.tiles; })))
       continue;
     for (Slot& slot : program.slots) {
       SHALE_TRY(slot.commands,
-                vk::Buffer::create(kernels->context(),
-                                   indirect_grids(segments(program)).size() * kGridBytes,
+                vk::Buffer::create(kernels->context(), grids * kGridBytes,
                                    VK_BUFFER_USAGE_TRANSFER_DST_BIT, vk::MemoryKind::kReadback));
     }
   }

@@ -142,9 +142,10 @@ class FrameLoop {
   /// was rendered since the histories were reset.
   Result<void> generate(float time, VkCommandBuffer commands, vk::Timestamps* timestamps = nullptr);
 
-  /// Of a program with networks that work by tiles, the share of its predicted time that a record took, 0 to 1: that of the last record, or of the one `records_ago` of the same program before it. The device must have finished
-  /// it, and fewer than frames_in_flight records of the program must lie behind it. Nothing where no network works by
-  /// tiles or there was no such record.
+  /// Of a program that runs only what changed, network or passes, the share of its predicted time that a record took, 0 to 1:
+  /// that of the last record, or of the one `records_ago` of the same program before it. The device must have finished it, and
+  /// fewer than frames_in_flight records of the program must lie behind it. Nothing where all runs in every frame or there was
+  /// no such record.
   std::optional<double> share_run(uint32_t records_ago = 0) const;
 
   /// Number of records so far, of all programs.

@@ -133,6 +133,7 @@ TEST_F(NeedsTest, OfScenesAndOfTheirCapturesAreTheSame) {
       R"("signals": {"s": {"blink": {"period": 2}}}, "lights": [{"at": [0, 3, 1], "signal": "s"}], )");
   ASSERT_EQ(shale("scene still.json --needs still.needs --render 64x40"), 0) << said();
   EXPECT_EQ(needs("still.needs")["motion_pixels"], 0.0);
+  EXPECT_EQ(needs("still.needs")["motion_pixels"].dump(), "0.0");
   EXPECT_EQ(needs("still.needs")["objects_move"], false);
   EXPECT_EQ(needs("still.needs")["light_changes"], false);
   ASSERT_EQ(shale("scene moving.json --needs moving.needs --render 64x40"), 0) << said();

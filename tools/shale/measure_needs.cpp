@@ -78,7 +78,7 @@ bool all_finite(const FloatImage& image) {
 }
 
 /// Upwards to two digits behind the point, so that a file reads well and still holds.
-double rounded_up(double value) { return std::max(std::ceil(value * 100 - 1e-9) / 100, 0.0); }
+double rounded_up(double value) { return std::max(0.0, std::ceil(value * 100 - 1e-9) / 100); }
 double rounded_down(double value) { return std::floor(value * 100 + 1e-9) / 100; }
 
 }  // namespace

@@ -119,7 +119,7 @@ Result<std::vector<Contender>> contenders_of(const Arguments& arguments) {
         contenders.back().is_specialised = true;
       }
       for (const uint32_t tolerance : arguments.tiles) {
-        if (is_baseline) break;  // tiles are the network's
+        if (is_baseline && !contender.files.frame->settles) break;
         contenders.push_back(contender);
         contenders.back().tiles = tolerance;
       }

@@ -78,7 +78,7 @@ Samples samples_at(vec2 scene) {
 }
 
 void main() {
-  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 at = ivec2(invocation());
   if (at.x >= kOutput.x || at.y >= kOutput.y) return;
   const vec2 uv = (vec2(at) + 0.5) / vec2(kOutput);
   const vec2 scene = uv * vec2(kRender) - params.jitter;  // in texels

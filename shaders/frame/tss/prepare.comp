@@ -56,7 +56,7 @@ float disocclusion_at(ivec2 at) {
 #endif
 
 void main() {
-  const ivec2 at = ivec2(gl_GlobalInvocationID.xy);
+  const ivec2 at = ivec2(invocation());
   if (at.x >= kRender.x || at.y >= kRender.y) return;
   const vec3 color = texel(at);
   store_prepared(at, half4(color));
