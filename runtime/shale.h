@@ -81,7 +81,7 @@ void shale_package_destroy(ShalePackage* package);
  * there by then; results are the same, bit for bit. */
 typedef enum ShaleCompile {
   SHALE_COMPILE_AT_ONCE = 0,       /* before shale_loop_create returns */
-  SHALE_COMPILE_IN_BACKGROUND = 1, /* by threads that the loop owns and ends */
+  SHALE_COMPILE_IN_BACKGROUND = 1, /* by threads that the loop owns and ends, after a frame */
   SHALE_COMPILE_BY_HOST = 2        /* by shale_loop_compile_one, on threads of the host's */
 } ShaleCompile;
 

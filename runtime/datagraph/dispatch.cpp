@@ -58,7 +58,7 @@ Result<vk::SamplerHandle> create_sampler(const vk::Context& context) {
 }
 
 Result<vk::SetLayoutHandle> create_set_layout(const vk::Context& context, const LayoutKey& key,
-                                              VkSampler sampler) {
+                                              VkSampler sampler, bool update_after_bind) {
   std::vector<VkDescriptorSetLayoutBinding> bindings;
   for (const auto& [number, type] : key.types)  // the sampler counts for those that have one
     bindings.push_back({number, type, 1, VK_SHADER_STAGE_COMPUTE_BIT, &sampler});
@@ -66,6 +66,16 @@ Result<vk::SetLayoutHandle> create_set_layout(const vk::Context& context, const 
       VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
   info.bindingCount = static_cast<uint32_t>(bindings.size());
   info.pBindings = bindings.data();
+  auto flag_info = vk::init<VkDescriptorSetLayoutBindingFlagsCreateInfo>(
+      VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_BINDING_FLAGS_CREATE_INFO);
+  const std::vector<VkDescriptorBindingFlags> flags(bindings.size(),
+                                                    VK_DESCRIPTOR_BINDING_UPDATE_AFTER_BIND_BIT);
+  flag_info.bindingCount = info.bindingCount;
+  flag_info.pBindingFlags = flags.data();
+  if (update_after_bind) {
+    info.flags = VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT;
+    info.pNext = &flag_info;
+  }
   return vk::make(context.vk.CreateDescriptorSetLayout, context.vk.DestroyDescriptorSetLayout,
                   "vkCreateDescriptorSetLayout", context.device, info);
 }
@@ -103,6 +113,7 @@ Result<std::unique_ptr<Kernels>> Kernels::create(const vk::Context& context, con
   const Variant& variant = package.variants[index];
   std::unique_ptr<Kernels> result(new Kernels);
   result->context_ = context;
+  result->update_after_bind_ = options.update_after_bind;
   result->variant_ = variant;
   result->variant_.modules.clear();
 
@@ -165,7 +176,7 @@ Result<void> Kernels::create_pipelines(const Package& package, const Variant& va
         layout_index.try_emplace(layout_key(dispatch, each.push_bytes), layouts_.size());
     if (new_layout) {
       SHALE_TRY(set_layouts_.emplace_back(),
-                create_set_layout(context_, layout->first, sampler_.get()));
+                create_set_layout(context_, layout->first, sampler_.get(), update_after_bind_));
       SHALE_TRY(layouts_.emplace_back(),
                 create_layout(context_, set_layouts_.back().get(), each.push_bytes));
     }
@@ -331,6 +342,8 @@ Result<DescriptorSets> DescriptorSets::create(const Kernels& kernels,
   const vk::Context& context = kernels.context();
   auto pool_info =
       vk::init<VkDescriptorPoolCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO);
+  if (kernels.update_after_bind())
+    pool_info.flags = VK_DESCRIPTOR_POOL_CREATE_UPDATE_AFTER_BIND_BIT;
   pool_info.maxSets = static_cast<uint32_t>(steps.size());
   pool_info.poolSizeCount = static_cast<uint32_t>(sizes.size());
   pool_info.pPoolSizes = sizes.data();
@@ -444,6 +457,7 @@ void record_steps(VkCommandBuffer commands, const Kernels& kernels, std::span<co
                   const TargetOf& target, bool runs_all, vk::Timestamps* timestamps) {
   const vk::Functions& vk = kernels.context().vk;
   if (timestamps) timestamps->start(commands);
+  if (kernels.late()) kernels.late()->note_record();
   bool may_take = true;
   for (size_t i = 0; i < steps.size(); ++i) {
     const Step& own = steps[i];

@@ -58,7 +58,8 @@ using Selection = std::function<Result<std::vector<std::span<const Segment>>>(co
 struct PipelineOptions {
   VkPipelineCache cache = VK_NULL_HANDLE;
   Compile compile = Compile::kAtOnce;
-  uint32_t threads = 0;  ///< as in DataGraphPipelineOptions
+  uint32_t threads = 0;  ///< as in DataGraphPipelineOptions, as is the next one
+  bool update_after_bind = false;
 };
 
 /// One variant of a package on a device. Its address is kept by what is made from it.
@@ -104,6 +105,9 @@ class Kernels {
   Result<bool> compile_one() const { return late_ ? late_->compile_one() : false; }
   Result<void> finish() const { return late_ ? late_->finish() : Result<void>(); }
 
+  /// Descriptor sets may be written when they are recorded, if they are not pending.
+  bool update_after_bind() const { return update_after_bind_; }
+
   /// Offsets of caller's buffers must be multiples of this.
   uint64_t tensor_alignment() const;
 
@@ -131,6 +135,7 @@ class Kernels {
   bool has_transfers_ = false;
   bool has_indirect_ = false;
   bool has_tiles_ = false;
+  bool update_after_bind_ = false;
   std::deque<Step> starts_;              // what serves in place of steps
   std::unique_ptr<LatePipelines> late_;  // goes first: its threads use the layouts
 };

@@ -1,11 +1,20 @@
 #include "runtime/datagraph/late_pipelines.h"
 
 #include <algorithm>
+#include <chrono>
 #include <numeric>
 
 #include "runtime/datagraph/driver_code.h"
 
 namespace shale {
+namespace {
+
+/// Start forms of a network like NSS v1 HIGH take lavapipe 3 s on two cores.
+constexpr std::chrono::seconds kFirstResult{5};
+/// With the second record, the first one's result is there or near.
+constexpr uint64_t kRecordsBefore = 2;
+
+}  // namespace
 
 Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spirv& words,
                                            VkPipelineLayout layout, VkPipelineCache cache) {
@@ -53,7 +62,19 @@ LatePipelines::LatePipelines(const vk::Context& context, const Variant& variant,
 
 LatePipelines::~LatePipelines() {
   stop_ = true;
+  begin();
   for (std::thread& thread : threads_) thread.join();
+}
+
+void LatePipelines::note_record() {
+  const std::lock_guard lock(mutex_);
+  if (++records_ == kRecordsBefore) begin_.notify_all();
+}
+
+void LatePipelines::begin() {
+  const std::lock_guard lock(mutex_);
+  records_ = kRecordsBefore;
+  begin_.notify_all();
 }
 
 VkPipeline LatePipelines::take(size_t job, bool& may_take) {
@@ -102,6 +123,10 @@ Result<void> LatePipelines::compile(size_t job, std::unique_ptr<DriverCode>& cod
 }
 
 void LatePipelines::work() {
+  {
+    std::unique_lock lock(mutex_);
+    begin_.wait_for(lock, kFirstResult, [&] { return records_ >= kRecordsBefore; });
+  }
   std::unique_ptr<DriverCode> code;
   while (const std::optional<size_t> job = next_job()) (void)compile(*job, code);
 }
@@ -115,6 +140,7 @@ Result<bool> LatePipelines::compile_one() {
 }
 
 Result<void> LatePipelines::finish() {
+  begin();
   std::unique_ptr<DriverCode> code;
   // Threads of our own have the processors already.
   if (threads_.empty())

@@ -36,12 +36,15 @@ struct LateJob {
 class LatePipelines {
  public:
   /// Jobs that gain the most for their code come first. `variant`, the layouts and the cache must outlive this. Without
-  /// threads nothing happens until compile_one.
+  /// threads nothing happens until compile_one. Threads begin with the second record, or after some seconds: the first
+  /// result's compilation has the processors for itself.
   LatePipelines(const vk::Context& context, const Variant& variant, uint64_t weight_bytes,
                 std::vector<LateJob> jobs, VkPipelineCache cache, size_t threads);
   /// Waits for the pipelines that are being made, and for no others.
   ~LatePipelines();
 
+  /// A record is being made.
+  void note_record();
   /// The pipeline of a job, in the order given, for a record that is being made; null until it is there. A record takes
   /// one that no record took before only if `may_take`, which is false then: a driver may compile at a pipeline's first
   /// dispatch, and a frame should not wait for more than one.
@@ -64,6 +67,7 @@ class LatePipelines {
     std::atomic<bool> taken = false;
   };
   void work();
+  void begin();
   Result<void> compile(size_t job, std::unique_ptr<DriverCode>& code);
   std::optional<size_t> next_job();
 
@@ -76,9 +80,10 @@ class LatePipelines {
   std::vector<Made> made_;     // by job
 
   std::mutex mutex_;
-  std::condition_variable all_made_;
+  std::condition_variable all_made_, begin_;
   size_t next_ = 0;     // in order_
   size_t working_ = 0;  // jobs that are being made
+  uint64_t records_ = 0;
   Result<void> first_error_;
   std::atomic<size_t> left_;
   std::atomic<bool> stop_ = false;

@@ -39,7 +39,8 @@ Result<DataGraphPipeline> DataGraphPipeline::create(const vk::Context& device,
     return std::vector{std::span(graph, 1)};
   };
   SHALE_TRY(auto kernels, Kernels::create(device, package, select,
-                                          {options.cache, options.compile, options.threads}));
+                                          {options.cache, options.compile, options.threads,
+                                           options.update_after_bind}));
   return DataGraphPipeline(std::move(kernels), graph);
 }
 

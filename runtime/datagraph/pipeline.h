@@ -21,7 +21,7 @@ class Kernels;
 /// what is there by then, at most one pipeline more than the record before; results are the same, bit for bit.
 enum class Compile : uint8_t {
   kAtOnce,        ///< before create() returns; no start form serves
-  kInBackground,  ///< by threads that the object owns and ends
+  kInBackground,  ///< by threads that the object owns and ends, which begin with the second record or 5 s after create()
   kByHost,        ///< by compile_one(), on threads of the host's
 };
 
@@ -34,6 +34,9 @@ struct DataGraphPipelineOptions {
   /// Of the runtime's own, for drivers on the CPU with devices of its own (driver_code.h). 0 is none, but in the background, where
   /// it is half of the processors, at least 2.
   uint32_t threads = 0;
+  /// Sessions may be pointed at other tensors when they are recorded (Session::update). The device must have enabled
+  /// descriptorBindingStorageBufferUpdateAfterBind and descriptorBindingUniformTexelBufferUpdateAfterBind.
+  bool update_after_bind = false;
 };
 
 /// Pipelines and weights of a graph segment of one variant. Must outlive its sessions; its device

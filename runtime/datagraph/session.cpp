@@ -17,6 +17,12 @@ struct Session::State {
   std::vector<StepSets> sets;  // by step
   bool descriptors_written = false;
   bool runs_all = true;  // in the next record, where there are Tiles
+
+  TargetOf target() const {
+    return [this](const Binding& binding) {
+      return Target{.buffer = buffers[binding.resource], .offset = offsets[binding.resource]};
+    };
+  }
 };
 
 Session::Session(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -115,28 +121,30 @@ Result<void> Session::bind_tensor(std::string_view name, const TensorView& tenso
   return bad_input("", "the network has no input or output \"{}\"", name);
 }
 
+Result<void> Session::update() {
+  if (state_->descriptors_written) return {};
+  const Kernels& kernels = *state_->kernels;
+  if (state_->arena && !state_->arena_bound) return bad_input("arena", "has no memory yet");
+  for (const Step& step : kernels.steps(0))
+    for (const Binding& binding : step.dispatch->bindings)
+      if (state_->buffers[binding.resource] == VK_NULL_HANDLE)
+        return bad_input(
+            fmt::format("tensor \"{}\"", kernels.variant().resources[binding.resource].name),
+            "is not bound yet");
+  for (size_t i = 0; i < state_->set_count; ++i)
+    SHALE_TRY_VOID(state_->descriptors.write(i, state_->target()));
+  state_->descriptors_written = true;
+  return {};
+}
+
 Result<void> Session::record(VkCommandBuffer commands, vk::Timestamps* timestamps) {
   const Kernels& kernels = *state_->kernels;
   const std::span<const Step> steps = kernels.steps(0);
   SHALE_TRY_VOID(check_timestamps(timestamps, steps.size()));
-  const TargetOf target = [&](const Binding& binding) {
-    return Target{.buffer = state_->buffers[binding.resource],
-                  .offset = state_->offsets[binding.resource]};
-  };
-  if (!state_->descriptors_written) {
-    if (state_->arena && !state_->arena_bound) return bad_input("arena", "has no memory yet");
-    for (const Step& step : steps)
-      for (const Binding& binding : step.dispatch->bindings)
-        if (state_->buffers[binding.resource] == VK_NULL_HANDLE)
-          return bad_input(
-              fmt::format("tensor \"{}\"", kernels.variant().resources[binding.resource].name),
-              "is not bound yet");
-    for (size_t i = 0; i < state_->set_count; ++i)
-      SHALE_TRY_VOID(state_->descriptors.write(i, target));
-    state_->descriptors_written = true;
-  }
+  if (!state_->descriptors_written && !kernels.update_after_bind()) SHALE_TRY_VOID(update());
   kernels.record_upload(commands);
-  record_steps(commands, kernels, steps, state_->sets, {}, target, state_->runs_all, timestamps);
+  record_steps(commands, kernels, steps, state_->sets, {}, state_->target(), state_->runs_all,
+               timestamps);
   state_->runs_all = false;
   return {};
 }

@@ -84,6 +84,11 @@ class Session {
   /// Errors: kBadInput if no input or output has that name, the range is too small or unaligned.
   Result<void> bind_tensor(std::string_view name, const TensorView& tensor);
 
+  /// Points what is recorded, and what will be, at the tensors that are bound now; none of it may be pending. Only for
+  /// pipelines with DataGraphPipelineOptions::update_after_bind, whose records take tensors that are not there yet.
+  /// Errors: kBadInput, naming what is not bound yet; kDevice.
+  Result<void> update();
+
   /// Adds the graph to a command buffer that is being recorded, outside of a render pass. Changes
   /// its bound compute pipeline and set 0. `timestamps` gains an interval for each dispatch of
   /// DataGraphPipeline::graph(); it may be null.

@@ -65,6 +65,12 @@ END
     echo
     tests/bench/peers.sh "$build"
   fi
+  echo
+  echo "## The layer"
+  echo
+  echo "Networks by a program that knows VK_ARM_data_graph alone, and by a package. By \`tests/bench/layer.sh\`."
+  echo
+  tests/bench/layer.sh "$build"
 } > "$part"
 mv "$part" "$out"
 echo "wrote $out"

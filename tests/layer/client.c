@@ -232,6 +232,13 @@ void client_destroy_tensor(const Client* client, ClientTensor* tensor) {
 static void create_layouts(const Client* client, const ClientGraphInfo* info, ClientGraph* graph) {
   const uint32_t tensors = info->tensor_count;
   VkDescriptorSetLayoutBinding* bindings = calloc(tensors + 1, sizeof *bindings);
+  VkDescriptorBindingFlags* flags = calloc(tensors + 1, sizeof *flags);
+  for (uint32_t i = 0; i < tensors; ++i) flags[i] = VK_DESCRIPTOR_BINDING_UPDATE_AFTER_BIND_BIT;
+  const VkDescriptorSetLayoutBindingFlagsCreateInfo late = {
+      .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_BINDING_FLAGS_CREATE_INFO,
+      .bindingCount = tensors,
+      .pBindingFlags = flags};
+  const bool is_late = info->set_flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT;
   for (uint32_t i = 0; i < tensors; ++i)
     bindings[i] = (VkDescriptorSetLayoutBinding){.binding = info->bindings ? info->bindings[i] : i,
                                                  .descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM,
@@ -239,21 +246,25 @@ static void create_layouts(const Client* client, const ClientGraphInfo* info, Cl
                                                  .stageFlags = VK_SHADER_STAGE_ALL};
   const VkDescriptorSetLayoutCreateInfo set = {
       .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO,
+      .pNext = is_late ? &late : NULL,
       .flags = info->set_flags,
       .bindingCount = tensors,
       .pBindings = bindings};
   MUST(vkCreateDescriptorSetLayout(client->device, &set, NULL, &graph->set_layout));
   free(bindings);
+  free(flags);
   const VkPipelineLayoutCreateInfo layout = {.sType = VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO,
                                              .setLayoutCount = 1,
                                              .pSetLayouts = &graph->set_layout};
   MUST(vkCreatePipelineLayout(client->device, &layout, NULL, &graph->layout));
   if (info->set_flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR) return;
   const VkDescriptorPoolSize size = {VK_DESCRIPTOR_TYPE_TENSOR_ARM, tensors};
-  const VkDescriptorPoolCreateInfo pool = {.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO,
-                                           .maxSets = 1,
-                                           .poolSizeCount = 1,
-                                           .pPoolSizes = &size};
+  const VkDescriptorPoolCreateInfo pool = {
+      .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO,
+      .flags = is_late ? VK_DESCRIPTOR_POOL_CREATE_UPDATE_AFTER_BIND_BIT : 0,
+      .maxSets = 1,
+      .poolSizeCount = 1,
+      .pPoolSizes = &size};
   MUST(vkCreateDescriptorPool(client->device, &pool, NULL, &graph->pool));
   const VkDescriptorSetAllocateInfo allocate_set = {
       .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO,

@@ -111,8 +111,10 @@ typedef struct ClientGraphInfo {
   const VkSpecializationInfo* specialization;
   VkPipelineCreateFlags2 flags;
   VkPipelineCache cache;
-  VkDescriptorSetLayoutCreateFlags set_flags; /* with those of pushed descriptors there is no set */
-  void* next;                                 /* chained to the pipeline's create info */
+  /* With those of pushed descriptors there is no set; with VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT
+   * the set may be written when it is bound. */
+  VkDescriptorSetLayoutCreateFlags set_flags;
+  void* next; /* chained to the pipeline's create info */
 } ClientGraphInfo;
 
 /* On failure nothing is left. */

@@ -114,6 +114,64 @@ TEST_F(RecordingLayerTest, TemplatesHoldTensorViews) {
   vkDestroyDescriptorUpdateTemplate(client.device, update, nullptr);
 }
 
+/// One recording, in a secondary buffer, that is submitted with other tensors each time.
+TEST_F(RecordingLayerTest, SetsAreUpdatedAfterBinding) {
+  VkPhysicalDeviceDataGraphFeaturesARM graphs{};
+  graphs.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM;
+  VkPhysicalDeviceFeatures2 features{};
+  features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+  features.pNext = &graphs;
+  vkGetPhysicalDeviceFeatures2(client.physical, &features);
+  if (!graphs.dataGraphUpdateAfterBind) GTEST_SKIP() << "the device has no update after bind";
+  for (const int64_t padding : {0, 3}) {
+    SCOPED_TRACE(padding);
+    ClientRun own, other;
+    const GraphOptions options{
+        .padding = padding,
+        .set_flags = VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT};
+    ASSERT_EQ(own.create(client, source, options), VK_SUCCESS) << client.last_message;
+    ASSERT_EQ(other.create(client, source, options), VK_SUCCESS) << client.last_message;
+    const VkCommandPoolCreateInfo pool_info{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO, nullptr, 0,
+                                            client.family};
+    VkCommandPool pool;
+    ASSERT_EQ(vkCreateCommandPool(client.device, &pool_info, nullptr, &pool), VK_SUCCESS);
+    VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO, nullptr,
+                                         pool, VK_COMMAND_BUFFER_LEVEL_SECONDARY, 1};
+    VkCommandBuffer secondary, primary;
+    ASSERT_EQ(vkAllocateCommandBuffers(client.device, &allocate, &secondary), VK_SUCCESS);
+    allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
+    ASSERT_EQ(vkAllocateCommandBuffers(client.device, &allocate, &primary), VK_SUCCESS);
+    VkCommandBufferInheritanceInfo inheritance{};
+    inheritance.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_INHERITANCE_INFO;
+    VkCommandBufferBeginInfo begin{};
+    begin.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO;
+    begin.pInheritanceInfo = &inheritance;
+    ASSERT_EQ(vkBeginCommandBuffer(secondary, &begin), VK_SUCCESS);
+    client_record_graph(&client, secondary, &own.graph);
+    ASSERT_EQ(vkEndCommandBuffer(secondary), VK_SUCCESS) << client.last_message;
+    ASSERT_EQ(vkBeginCommandBuffer(primary, &begin), VK_SUCCESS);
+    vkCmdExecuteCommands(primary, 1, &secondary);
+    client_full_barrier(primary);
+    ASSERT_EQ(vkEndCommandBuffer(primary), VK_SUCCESS);
+    for (const uint64_t seed : {1, 2, 3}) {
+      ClientRun& target = seed == 2 ? own : other;
+      const VkTensorViewARM views[] = {target.tensors[0].view, target.tensors[1].view};
+      client_write_set(&client, &own.graph, 2, views);
+      const std::vector<Tensor> values = random_inputs(source, seed);
+      target.write(values);
+      VkSubmitInfo submit_info{};
+      submit_info.sType = VK_STRUCTURE_TYPE_SUBMIT_INFO;
+      submit_info.commandBufferCount = 1;
+      submit_info.pCommandBuffers = &primary;
+      ASSERT_EQ(vkQueueSubmit(client.queue, 1, &submit_info, VK_NULL_HANDLE), VK_SUCCESS)
+          << client.last_message;
+      ASSERT_EQ(vkQueueWaitIdle(client.queue), VK_SUCCESS);
+      EXPECT_EQ(target.read(), must(interpret(source, values))) << seed;
+    }
+    vkDestroyCommandPool(client.device, pool, nullptr);
+  }
+}
+
 TEST_F(RecordingLayerTest, DescriptorsArePushed) {
   const auto push = reinterpret_cast<PFN_vkCmdPushDescriptorSetKHR>(
       vkGetDeviceProcAddr(client.device, "vkCmdPushDescriptorSetKHR"));

@@ -20,7 +20,18 @@ CommandState& state_of(Device& device, VkCommandBuffer commands) {
 }
 
 void forget(Device& device, std::span<const VkCommandBuffer> buffers) {
-  for (const VkCommandBuffer each : buffers) device.commands.take(each);
+  for (const VkCommandBuffer each : buffers) {
+    device.commands.take(each);
+    device.late.take(each);
+  }
+}
+
+/// Before the buffers are submitted. Errors: those of LateDispatch::bind.
+VkResult bind_late(Device& device, VkCommandBuffer commands) {
+  for (const std::shared_ptr<LateDispatch>& each : device.late.find(commands))
+    if (const Result<void> bound = each->bind(); !bound)
+      return device.fail(VK_OBJECT_TYPE_COMMAND_BUFFER, number_of(commands), bound.error());
+  return VK_SUCCESS;
 }
 
 /// Descriptors that were pushed to a set, one by one, so that what is overwritten goes.
@@ -130,7 +141,7 @@ VkResult VKAPI_CALL ResetCommandPool(VkDevice handle, VkCommandPool pool,
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
     if (const auto buffers = device.command_pools.find(pool))
-      for (const VkCommandBuffer each : *buffers) device.commands.take(each);
+      for (const VkCommandBuffer each : *buffers) forget(device, {&each, 1});
     return device.ResetCommandPool(handle, pool, flags);
   });
 }
@@ -140,7 +151,7 @@ void VKAPI_CALL DestroyCommandPool(VkDevice handle, VkCommandPool pool,
   guarded_void([&] {
     Device& device = device_of(handle);
     if (const auto buffers = device.command_pools.take(pool))
-      for (const VkCommandBuffer each : *buffers) device.commands.take(each);
+      for (const VkCommandBuffer each : *buffers) forget(device, {&each, 1});
     device.DestroyCommandPool(handle, pool, allocator);
   });
 }
@@ -182,6 +193,7 @@ VkResult VKAPI_CALL EndCommandBuffer(VkCommandBuffer commands) {
     Device& device = device_of(commands);
     const auto state = device.commands.take(commands);
     const VkResult ended = device.EndCommandBuffer(commands);
+    if (state && !state->late.empty()) device.late.put(commands, std::move(state->late));
     return state && state->failed != VK_SUCCESS ? state->failed : ended;
   });
 }
@@ -327,9 +339,14 @@ void VKAPI_CALL CmdExecuteCommands(VkCommandBuffer commands, uint32_t count,
     device.CmdExecuteCommands(commands, count, secondaries);
     // What was bound is undefined behind it.
     CommandState& state = state_of(device, commands);
-    const VkResult failed = state.failed;
-    state = {};
-    state.failed = failed;
+    CommandState next;
+    next.failed = state.failed;
+    next.late = std::move(state.late);
+    for (uint32_t i = 0; i < count; ++i) {
+      const LateDispatches late = device.late.find(secondaries[i]);
+      next.late.insert(next.late.end(), late.begin(), late.end());
+    }
+    state = std::move(next);
     return {};
   });
 }
@@ -402,9 +419,27 @@ void VKAPI_CALL CmdWriteTimestamp2(VkCommandBuffer commands, VkPipelineStageFlag
   device_of(commands).CmdWriteTimestamp2(commands, stage, pool, query);
 }
 
+VkResult VKAPI_CALL QueueSubmit(VkQueue queue, uint32_t count, const VkSubmitInfo* infos,
+                                VkFence fence) {
+  return guarded([&]() -> VkResult {
+    Device& device = device_of(queue);
+    for (const VkSubmitInfo& info : std::span(infos, count))
+      for (uint32_t i = 0; i < info.commandBufferCount; ++i)
+        if (const VkResult bound = bind_late(device, info.pCommandBuffers[i]); bound != VK_SUCCESS)
+          return bound;
+    return device.QueueSubmit(queue, count, infos, fence);
+  });
+}
+
 VkResult VKAPI_CALL QueueSubmit2(VkQueue queue, uint32_t count, const VkSubmitInfo2* infos,
                                  VkFence fence) {
   return guarded([&]() -> VkResult {
+    Device& device = device_of(queue);
+    for (const VkSubmitInfo2& info : std::span(infos, count))
+      for (uint32_t i = 0; i < info.commandBufferInfoCount; ++i)
+        if (const VkResult bound = bind_late(device, info.pCommandBufferInfos[i].commandBuffer);
+            bound != VK_SUCCESS)
+          return bound;
     std::vector<VkSubmitInfo2> below(infos, infos + count);
     std::vector<std::vector<VkSemaphoreSubmitInfo>> semaphores;
     const auto translated = [&](const VkSemaphoreSubmitInfo* list, uint32_t size) {
@@ -417,7 +452,7 @@ VkResult VKAPI_CALL QueueSubmit2(VkQueue queue, uint32_t count, const VkSubmitIn
       info.pSignalSemaphoreInfos =
           translated(info.pSignalSemaphoreInfos, info.signalSemaphoreInfoCount);
     }
-    return device_of(queue).QueueSubmit2(queue, count, below.data(), fence);
+    return device.QueueSubmit2(queue, count, below.data(), fence);
   });
 }
 

@@ -7,6 +7,9 @@
 
 namespace shale::layer {
 
+struct LateDispatch;
+using LateDispatches = std::vector<std::shared_ptr<LateDispatch>>;
+
 /// Commands of the application that change what compute shaders see, to be recorded again after the
 /// layer's own.
 struct CommandState {
@@ -21,6 +24,7 @@ struct CommandState {
   GraphPipeline* graph = nullptr;
   std::map<uint32_t, std::shared_ptr<Set>> graph_sets;
   std::map<uint32_t, std::shared_ptr<Set>> pushed_graph_sets;  ///< those made by pushes
+  LateDispatches late;           ///< recorded here, or in secondary buffers that are executed
   VkResult failed = VK_SUCCESS;  ///< what ending the recording answers
 
   void bind_sets(uint32_t first, uint32_t count, std::function<void(VkCommandBuffer)> again);

@@ -68,6 +68,24 @@ void copy_tensors(Device& device, const VkCopyDescriptorSet& copy,
   }
 }
 
+SetLayout read_set_layout(const VkDescriptorSetLayoutCreateInfo& info) {
+  SetLayout layout;
+  const auto* flags = find_in_chain<VkDescriptorSetLayoutBindingFlagsCreateInfo>(
+      info.pNext, VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_BINDING_FLAGS_CREATE_INFO);
+  for (uint32_t i = 0; i < info.bindingCount; ++i) {
+    const VkDescriptorSetLayoutBinding& binding = info.pBindings[i];
+    const VkDescriptorBindingFlags own =
+        flags && i < flags->bindingCount ? flags->pBindingFlags[i] : 0;
+    layout.bindings[binding.binding] = {
+        binding.descriptorType, binding.descriptorCount,
+        (own & VK_DESCRIPTOR_BINDING_VARIABLE_DESCRIPTOR_COUNT_BIT) != 0};
+    if (binding.descriptorType != VK_DESCRIPTOR_TYPE_TENSOR_ARM) continue;
+    layout.has_tensors = true;
+    if (own & VK_DESCRIPTOR_BINDING_UPDATE_AFTER_BIND_BIT) layout.update_after_bind = true;
+  }
+  return layout;
+}
+
 void forget_sets(Device& device, Pool& pool) {
   const std::lock_guard lock(pool.mutex);
   for (const VkDescriptorSet set : pool.sets) device.sets.take(set);
@@ -76,9 +94,17 @@ void forget_sets(Device& device, Pool& pool) {
 
 }  // namespace
 
-Set::Set(const SetLayout& layout) {
+uint32_t SetLayout::varying_scale(const Device& device) const {
+  for (const auto& [number, binding] : bindings)
+    if (binding.varies && binding.type == VK_DESCRIPTOR_TYPE_TENSOR_ARM)
+      return device.tensor_shaders ? kBuffersOfTensor : 0;
+  return 1;
+}
+
+Set::Set(const SetLayout& layout, uint32_t varying) : update_after_bind(layout.update_after_bind) {
   for (const auto& [number, binding] : layout.bindings)
-    if (binding.type == VK_DESCRIPTOR_TYPE_TENSOR_ARM) tensors[number].resize(binding.count);
+    if (binding.type == VK_DESCRIPTOR_TYPE_TENSOR_ARM)
+      tensors[number].resize(binding.varies ? std::min(varying, binding.count) : binding.count);
 }
 
 SplitWrites::SplitWrites(std::span<const VkWriteDescriptorSet> writes, const SetOf& set_of) {
@@ -195,13 +221,7 @@ VkResult VKAPI_CALL CreateDescriptorSetLayout(VkDevice handle,
                                               VkDescriptorSetLayout* result) {
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
-    auto layout = std::make_shared<SetLayout>();
-    for (uint32_t i = 0; i < info->bindingCount; ++i) {
-      const VkDescriptorSetLayoutBinding& binding = info->pBindings[i];
-      layout->bindings[binding.binding] = {binding.descriptorType, binding.descriptorCount};
-      layout->has_tensors =
-          layout->has_tensors || binding.descriptorType == VK_DESCRIPTOR_TYPE_TENSOR_ARM;
-    }
+    auto layout = std::make_shared<SetLayout>(read_set_layout(*info));
     const LayoutBelow below(device, *info);
     const VkResult created = device.CreateDescriptorSetLayout(
         handle, layout->has_tensors ? below.get() : info, allocator, result);
@@ -223,8 +243,13 @@ void VKAPI_CALL GetDescriptorSetLayoutSupport(VkDevice handle,
                                               const VkDescriptorSetLayoutCreateInfo* info,
                                               VkDescriptorSetLayoutSupport* support) {
   guarded_void([&] {
-    const LayoutBelow below(device_of(handle), *info);
-    device_of(handle).GetDescriptorSetLayoutSupport(handle, below.get(), support);
+    const Device& device = device_of(handle);
+    const LayoutBelow below(device, *info);
+    device.GetDescriptorSetLayoutSupport(handle, below.get(), support);
+    auto* varying = find_in_chain<VkDescriptorSetVariableDescriptorCountLayoutSupport>(
+        support->pNext, VK_STRUCTURE_TYPE_DESCRIPTOR_SET_VARIABLE_DESCRIPTOR_COUNT_LAYOUT_SUPPORT);
+    if (const uint32_t scale = read_set_layout(*info).varying_scale(device); varying && scale > 1)
+      varying->maxVariableDescriptorCount /= scale;
   });
 }
 
@@ -301,13 +326,30 @@ VkResult VKAPI_CALL AllocateDescriptorSets(VkDevice handle, const VkDescriptorSe
                                            VkDescriptorSet* results) {
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
-    const VkResult allocated = device.AllocateDescriptorSets(handle, info, results);
+    constexpr VkStructureType kVarying =
+        VK_STRUCTURE_TYPE_DESCRIPTOR_SET_VARIABLE_DESCRIPTOR_COUNT_ALLOCATE_INFO;
+    using Varying = VkDescriptorSetVariableDescriptorCountAllocateInfo;
+    const auto* varying = find_in_chain<Varying>(info->pNext, kVarying);
+    std::vector<std::shared_ptr<SetLayout>> layouts;
+    std::vector<uint32_t> counts, counts_below;
+    for (uint32_t i = 0; i < info->descriptorSetCount; ++i) {
+      const auto& layout = layouts.emplace_back(device.set_layouts.find(info->pSetLayouts[i]));
+      counts.push_back(varying && i < varying->descriptorSetCount ? varying->pDescriptorCounts[i]
+                                                                  : 0);
+      counts_below.push_back(counts.back() * (layout ? layout->varying_scale(device) : 1));
+    }
+    ChainCopy chain(info->pNext);
+    if (auto* copy = chain.find<Varying>(kVarying); copy && copy->descriptorSetCount > 0)
+      copy->pDescriptorCounts = counts_below.data();
+    VkDescriptorSetAllocateInfo below = *info;
+    below.pNext = chain.next();
+    const VkResult allocated = device.AllocateDescriptorSets(handle, &below, results);
     if (allocated != VK_SUCCESS) return allocated;
     const auto pool = device.pools.find(info->descriptorPool);
     for (uint32_t i = 0; i < info->descriptorSetCount; ++i) {
-      const auto layout = device.set_layouts.find(info->pSetLayouts[i]);
+      const auto& layout = layouts[i];
       if (!pool || !layout || !layout->has_tensors) continue;
-      device.sets.put(results[i], std::make_shared<Set>(*layout));
+      device.sets.put(results[i], std::make_shared<Set>(*layout, counts[i]));
       const std::lock_guard lock(pool->mutex);
       pool->sets.insert(results[i]);
     }

@@ -16,9 +16,14 @@ struct SetLayout {
   struct Binding {
     VkDescriptorType type = VK_DESCRIPTOR_TYPE_SAMPLER;
     uint32_t count = 0;
+    bool varies = false;  ///< each set has a count of its own, up to this one
   };
   std::map<uint32_t, Binding> bindings;  ///< by number
   bool has_tensors = false;
+  bool update_after_bind = false;  ///< tensors may be written when the set is bound
+
+  /// How many descriptors the device below has for one whose count varies, of a tensor or of others.
+  uint32_t varying_scale(const Device& device) const;
 };
 
 struct PipelineLayout {
@@ -29,9 +34,11 @@ struct PipelineLayout {
 /// The tensor descriptors of a set; null where none was written.
 struct Set {
   std::map<uint32_t, std::vector<const Tensor*>> tensors;  ///< by binding, then element
+  bool update_after_bind = false;
 
   Set() = default;
-  explicit Set(const SetLayout& layout);
+  /// `varying` is the count of the binding that has one of its own in each set.
+  explicit Set(const SetLayout& layout, uint32_t varying = 0);
 };
 
 struct Pool {

@@ -93,6 +93,28 @@ void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
     turn_on_12(&VkPhysicalDeviceVulkan12Features::storageBuffer8BitAccess,
                VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_8BIT_STORAGE_FEATURES,
                &VkPhysicalDevice8BitStorageFeatures::storageBuffer8BitAccess);
+  // What tensors may is what the buffers behind them may.
+  const auto* tensors = find_in_chain<VkPhysicalDeviceTensorFeaturesARM>(
+      info.pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM);
+  constexpr VkStructureType kIndexing =
+      VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_INDEXING_FEATURES;
+  if (tensors && tensors->shaderStorageTensorArrayNonUniformIndexing)
+    turn_on_12(
+        &VkPhysicalDeviceVulkan12Features::shaderStorageBufferArrayNonUniformIndexing, kIndexing,
+        &VkPhysicalDeviceDescriptorIndexingFeatures::shaderStorageBufferArrayNonUniformIndexing);
+  const auto* graphs = find_in_chain<VkPhysicalDeviceDataGraphFeaturesARM>(
+      info.pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM);
+  const bool late_graphs = graphs && graphs->dataGraphUpdateAfterBind;
+  if (late_graphs)
+    turn_on_12(
+        &VkPhysicalDeviceVulkan12Features::descriptorBindingUniformTexelBufferUpdateAfterBind,
+        kIndexing,
+        &VkPhysicalDeviceDescriptorIndexingFeatures::
+            descriptorBindingUniformTexelBufferUpdateAfterBind);
+  if (late_graphs || (tensors && tensors->descriptorBindingStorageTensorUpdateAfterBind))
+    turn_on_12(
+        &VkPhysicalDeviceVulkan12Features::descriptorBindingStorageBufferUpdateAfterBind, kIndexing,
+        &VkPhysicalDeviceDescriptorIndexingFeatures::descriptorBindingStorageBufferUpdateAfterBind);
   if (has(Feature::kInt8))
     turn_on_12(&VkPhysicalDeviceVulkan12Features::shaderInt8,
                VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_FLOAT16_INT8_FEATURES,

@@ -9,6 +9,7 @@
 #include "runtime/datagraph/pipeline.h"
 #include "runtime/datagraph/session.h"
 #include "tools/layer/commands.h"
+#include "tools/layer/strided_copy.h"
 #include "tools/layer/tensor.h"
 
 namespace shale::layer {
@@ -40,6 +41,8 @@ struct GraphPipeline {
   std::vector<GraphTensor> tensors;
   Identifier identifier{};
   std::string log;
+  /// As `tensors`, of those that are not packed, where their sets may be updated after they are bound.
+  std::vector<std::optional<StridedCopy>> copies;
 };
 
 struct GraphSession {
@@ -68,6 +71,18 @@ struct GraphSession {
   std::mutex mutex;               ///< of what follows
   std::vector<Recording> recordings;
   std::optional<Session> spare;  ///< told the requirements; becomes the first recording
+};
+
+/// A dispatch whose descriptors may be written until it is submitted.
+struct LateDispatch {
+  GraphSession& session;
+  std::vector<std::shared_ptr<Set>> sets;  ///< as GraphPipeline::tensors
+  GraphSession::Recording recording;       ///< its tensors are those of the last submission
+  std::vector<std::optional<StridedCopy::Recorded>> copies;  ///< as GraphPipeline::tensors
+
+  /// Points the recording at what the sets hold now.
+  /// Errors: kBadInput, naming the descriptor; kDevice.
+  Result<void> bind();
 };
 
 /// Drops the recordings that use the tensor: it is about to be destroyed.

@@ -138,15 +138,26 @@ class Creation {
                          !package.variants.front().segments.front().start_forms.empty();
     VkPipelineCache cache = is_late ? VK_NULL_HANDLE : cache_handle_;
     if (!cache && device_.disk_cache) cache = device_.disk_cache->pipelines();
+    const auto layout = device_.layouts.find(info_.layout);
+    const bool late_sets =
+        layout && std::any_of(layout->sets.begin(), layout->sets.end(),
+                              [](const auto& set) { return set && set->update_after_bind; });
     SHALE_TRY(DataGraphPipeline pipeline,
               DataGraphPipeline::create(*device_.context, package,
                                         {.cache = cache,
                                          .graph = {},
                                          .compile = compile,
-                                         .threads = std::thread::hardware_concurrency()}));
+                                         .threads = std::thread::hardware_concurrency(),
+                                         .update_after_bind = late_sets}));
     SHALE_TRY(std::vector<GraphTensor> tensors, graph_tensors(pipeline.variant()));
-    return std::unique_ptr<GraphPipeline>(
-        new GraphPipeline{std::move(pipeline), std::move(tensors), identifier, {}});
+    std::vector<std::optional<StridedCopy>> copies(tensors.size());
+    for (size_t i = 0; late_sets && i < tensors.size(); ++i)
+      if (const GraphTensor& each = tensors[i]; !each.layout.packed) {
+        SHALE_TRY(copies[i],
+                  StridedCopy::create(*device_.context, each.layout, !each.is_input, cache));
+      }
+    return std::unique_ptr<GraphPipeline>(new GraphPipeline{
+        std::move(pipeline), std::move(tensors), identifier, {}, std::move(copies)});
   }
 
   Device& device_;

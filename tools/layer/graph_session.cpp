@@ -70,15 +70,23 @@ Result<void> bind_memory(GraphSession& session, VkDeviceMemory memory, uint64_t 
   return {};
 }
 
-/// The tensor that a descriptor of the command buffer holds for an input or output.
-Result<const Tensor*> bound_tensor(const CommandState& state, const GraphTensor& wanted) {
-  const std::string where =
-      fmt::format("set {}, binding {}, element {}", wanted.set, wanted.binding, wanted.element);
+std::string descriptor_name(const GraphTensor& wanted) {
+  return fmt::format("set {}, binding {}, element {}", wanted.set, wanted.binding, wanted.element);
+}
+
+/// The descriptor set that the command buffer has for an input or output.
+Result<std::shared_ptr<Set>> bound_set(const CommandState& state, const GraphTensor& wanted) {
   const auto set = state.graph_sets.find(wanted.set);
   if (set == state.graph_sets.end() || !set->second)
-    return bad_input(where, "no descriptor set with tensors is bound");
-  const auto binding = set->second->tensors.find(wanted.binding);
-  if (binding == set->second->tensors.end() || wanted.element >= binding->second.size() ||
+    return bad_input(descriptor_name(wanted), "no descriptor set with tensors is bound");
+  return set->second;
+}
+
+/// The tensor that a descriptor of the set holds for an input or output.
+Result<const Tensor*> bound_tensor(const Set& set, const GraphTensor& wanted) {
+  const std::string where = descriptor_name(wanted);
+  const auto binding = set.tensors.find(wanted.binding);
+  if (binding == set.tensors.end() || wanted.element >= binding->second.size() ||
       !binding->second[wanted.element])
     return bad_input(where, "the descriptor holds no tensor");
   const Tensor* tensor = binding->second[wanted.element];
@@ -92,26 +100,42 @@ Result<const Tensor*> bound_tensor(const CommandState& state, const GraphTensor&
   return tensor;
 }
 
-/// The session's recording for these tensors, made where there is none.
-Result<Session*> recording_for(GraphSession& session, std::span<const Tensor* const> tensors) {
+std::vector<uint64_t> ids_of(std::span<const Tensor* const> tensors) {
   std::vector<uint64_t> ids;
   for (const Tensor* tensor : tensors) ids.push_back(tensor->id);
-  for (GraphSession::Recording& each : session.recordings)
-    if (each.tensors == ids) return &each.session;
+  return ids;
+}
+
+/// A session of the runtime's in the memory of the layer's.
+Result<Session> make_session(GraphSession& session) {
   std::optional<Session> made = std::exchange(session.spare, std::nullopt);
-  if (!made) {
-    SHALE_TRY(made, Session::create(session.pipeline.pipeline));
-    if (!made->memory_requirements().empty() && session.memory)
-      SHALE_TRY_VOID(made->bind_memory(session.memory, session.memory_offset));
-  }
+  if (made) return *std::move(made);
+  SHALE_TRY(made, Session::create(session.pipeline.pipeline));
+  if (!made->memory_requirements().empty() && session.memory)
+    SHALE_TRY_VOID(made->bind_memory(session.memory, session.memory_offset));
+  return *std::move(made);
+}
+
+Result<void> bind_tensors(const GraphSession& session, Session& recording,
+                          std::span<const Tensor* const> tensors) {
   for (size_t i = 0; i < tensors.size(); ++i) {
     const GraphTensor& wanted = session.pipeline.tensors[i];
     const GraphSession::Staging& staging = session.staging[i];
     const VkBuffer buffer = staging.buffer ? staging.buffer.get() : tensors[i]->buffer;
     const uint64_t bytes = wanted.layout.elements() * tensor_element_bytes(wanted.layout.format);
-    SHALE_TRY_VOID(made->bind_tensor(wanted.resource, {buffer, 0, (bytes + 3) / 4 * 4}));
+    SHALE_TRY_VOID(recording.bind_tensor(wanted.resource, {buffer, 0, (bytes + 3) / 4 * 4}));
   }
-  session.recordings.push_back({std::move(ids), *std::move(made)});
+  return {};
+}
+
+/// The session's recording for these tensors, made where there is none.
+Result<Session*> recording_for(GraphSession& session, std::span<const Tensor* const> tensors) {
+  std::vector<uint64_t> ids = ids_of(tensors);
+  for (GraphSession::Recording& each : session.recordings)
+    if (each.tensors == ids) return &each.session;
+  SHALE_TRY(Session made, make_session(session));
+  SHALE_TRY_VOID(bind_tensors(session, made, tensors));
+  session.recordings.push_back({std::move(ids), std::move(made)});
   return &session.recordings.back().session;
 }
 
@@ -138,20 +162,47 @@ void record_staging(const GraphSession& session, VkCommandBuffer commands,
   }
 }
 
-Result<void> dispatch(Device& device, VkCommandBuffer commands, const CommandState& state,
+/// The same for tensors that are not known yet.
+Result<void> record_copies(LateDispatch& dispatch, VkCommandBuffer commands, bool inputs) {
+  const GraphPipeline& pipeline = dispatch.session.pipeline;
+  for (size_t i = 0; i < pipeline.tensors.size(); ++i)
+    if (pipeline.copies[i] && pipeline.tensors[i].is_input == inputs) {
+      SHALE_TRY(dispatch.copies[i],
+                pipeline.copies[i]->record(*dispatch.session.device.context, commands));
+    }
+  return {};
+}
+
+Result<void> dispatch(Device& device, VkCommandBuffer commands, CommandState& state,
                       GraphSession& session) {
   if (!state.graph)
     return bad_input("vkCmdDispatchDataGraphARM", "no data graph pipeline is bound");
   if (state.graph != &session.pipeline)
     return bad_input("vkCmdDispatchDataGraphARM", "the bound pipeline is not the session's");
   if (!session.memory) return bad_input("vkCmdDispatchDataGraphARM", "the session has no memory");
-  std::vector<const Tensor*> tensors;
+  std::vector<std::shared_ptr<Set>> sets;
   for (const GraphTensor& wanted : session.pipeline.tensors) {
-    SHALE_TRY(const Tensor* tensor, bound_tensor(state, wanted));
-    tensors.push_back(tensor);
+    SHALE_TRY(sets.emplace_back(), bound_set(state, wanted));
   }
+  const bool late =
+      std::any_of(sets.begin(), sets.end(), [](const auto& set) { return set->update_after_bind; });
   const std::lock_guard lock(session.mutex);
-  SHALE_TRY(Session* const recording, recording_for(session, tensors));
+  std::vector<const Tensor*> tensors;
+  Session* recording = nullptr;
+  LateDispatch* late_dispatch = nullptr;
+  if (late) {
+    SHALE_TRY(Session made, make_session(session));
+    state.late.push_back(std::make_shared<LateDispatch>(
+        LateDispatch{session, std::move(sets), {{}, std::move(made)}, {}}));
+    late_dispatch = state.late.back().get();
+    late_dispatch->copies.resize(session.pipeline.tensors.size());
+    recording = &late_dispatch->recording.session;
+  } else {
+    for (size_t i = 0; i < sets.size(); ++i) {
+      SHALE_TRY(tensors.emplace_back(), bound_tensor(*sets[i], session.pipeline.tensors[i]));
+    }
+    SHALE_TRY(recording, recording_for(session, tensors));
+  }
   // Earlier dispatches of the session may still use its memory: the application's barriers may name
   // tensors alone.
   const auto barrier = [&] {
@@ -163,17 +214,42 @@ Result<void> dispatch(Device& device, VkCommandBuffer commands, const CommandSta
   };
   const bool staged = std::any_of(session.staging.begin(), session.staging.end(),
                                   [](const auto& each) { return static_cast<bool>(each.buffer); });
-  barrier();
-  record_staging(session, commands, tensors, true);
-  if (staged) barrier();
-  const Result<void> recorded = recording->record(commands);
-  if (staged) barrier();
-  record_staging(session, commands, tensors, false);
+  const auto stage = [&](bool inputs) -> Result<void> {
+    if (late_dispatch) return record_copies(*late_dispatch, commands, inputs);
+    record_staging(session, commands, tensors, inputs);
+    return {};
+  };
+  const auto all = [&]() -> Result<void> {
+    barrier();
+    SHALE_TRY_VOID(stage(true));
+    if (staged) barrier();
+    SHALE_TRY_VOID(recording->record(commands));
+    if (staged) barrier();
+    return stage(false);
+  };
+  const Result<void> recorded = all();
   state.restore(device, commands);
   return recorded;
 }
 
 }  // namespace
+
+Result<void> LateDispatch::bind() {
+  const std::lock_guard lock(session.mutex);
+  std::vector<const Tensor*> tensors;
+  for (size_t i = 0; i < sets.size(); ++i) {
+    SHALE_TRY(tensors.emplace_back(), bound_tensor(*sets[i], session.pipeline.tensors[i]));
+  }
+  std::vector<uint64_t> ids = ids_of(tensors);
+  if (ids == recording.tensors) return {};  // which may be pending
+  SHALE_TRY_VOID(bind_tensors(session, recording.session, tensors));
+  SHALE_TRY_VOID(recording.session.update());
+  for (size_t i = 0; i < copies.size(); ++i)
+    if (copies[i])
+      copies[i]->bind(*session.device.context, tensors[i]->buffer, session.staging[i].buffer.get());
+  recording.tensors = std::move(ids);
+  return {};
+}
 
 void forget_tensor(Device& device, uint64_t id) {
   const std::lock_guard lock(device.mutex);

@@ -344,6 +344,8 @@ void VKAPI_CALL DestroyDevice(VkDevice device, const VkAllocationCallbacks* allo
     if (!data) return;
     data->disk_cache.reset();
     data->shapes.reset();
+    data->commands.clear();
+    data->late.clear();
     data->DestroyDevice(device, allocator);
   });
 }

@@ -101,6 +101,11 @@ class Registry {
     return value;
   }
 
+  void clear() {
+    const std::unique_lock lock(mutex_);
+    values_.clear();
+  }
+
  private:
   mutable std::shared_mutex mutex_;
   std::unordered_map<Key, Value> values_;
@@ -115,6 +120,8 @@ struct Physical {
   /// VK_KHR_maintenance5, VK_KHR_deferred_host_operations: the layer serves and the device has them not.
   bool lends_maintenance5 = false, lends_deferred = false;
   bool dynamic_indexing = false;  ///< shaderStorageBufferArrayDynamicIndexing
+  VkPhysicalDeviceVulkan12Features features12{};
+  VkPhysicalDeviceVulkan12Properties properties12{};
   DeviceCaps caps;
   VkPhysicalDeviceLimits limits{};
   std::vector<VkQueueFamilyProperties> families;
@@ -149,6 +156,7 @@ struct Set;
 struct Pool;
 struct CommandState;
 struct UpdateTemplate;
+struct LateDispatch;
 struct PipelineLayout;
 struct GraphModule;
 struct GraphPipeline;
@@ -182,6 +190,8 @@ struct Device {
   Registry<VkDescriptorPool, std::shared_ptr<Pool>> pools;
   Registry<VkDescriptorUpdateTemplate, std::shared_ptr<UpdateTemplate>> templates;
   Registry<VkCommandBuffer, std::shared_ptr<CommandState>> commands;
+  /// Of command buffers whose recording has ended.
+  Registry<VkCommandBuffer, std::vector<std::shared_ptr<LateDispatch>>> late;
   Registry<VkCommandPool, std::shared_ptr<std::set<VkCommandBuffer>>> command_pools;
   Registry<VkShaderModule, std::shared_ptr<GraphModule>> modules;
   Registry<VkPipelineCache, std::shared_ptr<GraphCache>> caches;

@@ -183,12 +183,21 @@ void fill_features(const Physical& physical, void* chain) {
     tensors->shaderTensorAccess = tensor_shaders(physical);
     tensors->shaderStorageTensorArrayDynamicIndexing =
         tensors->shaderTensorAccess && physical.dynamic_indexing;
+    tensors->shaderStorageTensorArrayNonUniformIndexing =
+        tensors->shaderTensorAccess &&
+        physical.features12.shaderStorageBufferArrayNonUniformIndexing;
+    tensors->descriptorBindingStorageTensorUpdateAfterBind =
+        physical.features12.descriptorBindingStorageBufferUpdateAfterBind;
   }
   if (auto* graphs = find_in_chain<VkPhysicalDeviceDataGraphFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM)) {
     clear_body(*graphs);
     graphs->dataGraph = graphs->dataGraphShaderModule = VK_TRUE;
     graphs->dataGraphSpecializationConstants = VK_TRUE;
+    graphs->dataGraphUpdateAfterBind =
+        tensor_shaders(physical) &&  // of padded tensors a shader has to hold the elements
+        physical.features12.descriptorBindingStorageBufferUpdateAfterBind &&
+        physical.features12.descriptorBindingUniformTexelBufferUpdateAfterBind;
   }
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM))
@@ -216,6 +225,15 @@ void fill_properties(const Physical& physical, void* chain) {
         physical.limits.maxDescriptorSetStorageBuffers / kBuffersOfTensor;
     tensors.maxPerStageDescriptorSetStorageTensors =
         physical.limits.maxPerStageDescriptorStorageBuffers / kBuffersOfTensor;
+    const VkPhysicalDeviceVulkan12Properties& more = physical.properties12;
+    if (physical.features12.descriptorBindingStorageBufferUpdateAfterBind) {
+      tensors.maxDescriptorSetUpdateAfterBindStorageTensors =
+          more.maxDescriptorSetUpdateAfterBindStorageBuffers / kBuffersOfTensor;
+      tensors.maxPerStageDescriptorUpdateAfterBindStorageTensors =
+          more.maxPerStageDescriptorUpdateAfterBindStorageBuffers / kBuffersOfTensor;
+    }
+    tensors.shaderStorageTensorArrayNonUniformIndexingNative =
+        more.shaderStorageBufferArrayNonUniformIndexingNative;
     tensors.shaderTensorSupportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
   }
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorPropertiesARM>(
@@ -254,8 +272,15 @@ const Physical& Instance::physical(VkPhysicalDevice wanted) {
       found->caps = vk::snapshot_caps(wanted, functions);
       VkPhysicalDeviceFeatures2 features{};
       features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+      features.pNext = &found->features12;
+      found->features12.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES;
       functions.GetPhysicalDeviceFeatures2(wanted, &features);
       found->dynamic_indexing = features.features.shaderStorageBufferArrayDynamicIndexing;
+      VkPhysicalDeviceProperties2 more{};
+      more.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
+      more.pNext = &found->properties12;
+      found->properties12.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_PROPERTIES;
+      functions.GetPhysicalDeviceProperties2(wanted, &more);
     }
   }
   slot = std::move(found);

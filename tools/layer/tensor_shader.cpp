@@ -71,12 +71,14 @@ enum Op : uint32_t {
 };
 constexpr uint32_t kCapabilityTensors = 4174, kCapabilityGraph = 4191;
 constexpr uint32_t kCapabilityTensorArrays = 4175, kCapabilityTensorNonUniform = 4176;
+constexpr uint32_t kCapabilityNonUniform = 5301, kCapabilityBufferNonUniform = 5308;
 constexpr uint32_t kCapabilityInt8 = 39, kCapabilityBufferArrays = 30, kCapabilityBuffer8 = 4448,
                    kCapabilityBuffer16 = 4433;
 constexpr uint32_t kUniformConstant = 0, kStorageBuffer = 12;
 constexpr uint32_t kDecorationBlock = 2, kDecorationArrayStride = 6, kDecorationAliased = 20,
                    kDecorationNonWritable = 24, kDecorationNonReadable = 25,
-                   kDecorationBinding = 33, kDecorationSet = 34, kDecorationOffset = 35;
+                   kDecorationBinding = 33, kDecorationSet = 34, kDecorationOffset = 35,
+                   kDecorationNonUniform = 5300;
 
 /// An operand that reads or writes may have: the value outside of the tensor.
 constexpr uint32_t kOutOfBoundsValue = 2;
@@ -315,8 +317,12 @@ class Lowering {
     const Words& o = instruction.operands;
     switch (instruction.op) {
       case kOpCapability:
-        if (o.size() == 1 && (o[0] == kCapabilityTensors || o[0] == kCapabilityTensorNonUniform))
+        if (o.size() == 1 && o[0] == kCapabilityTensors) return {};
+        if (o.size() == 1 && o[0] == kCapabilityTensorNonUniform) {
+          is_non_uniform_ = true;
+          capabilities_.insert({kCapabilityNonUniform, kCapabilityBufferNonUniform});
           return {};
+        }
         if (o.size() == 1 && o[0] == kCapabilityTensorArrays) {
           capabilities_.insert(kCapabilityBufferArrays);
           return {};
@@ -390,8 +396,13 @@ class Lowering {
   Result<void> lower_entry_point(const Instruction& instruction) {
     Words o = instruction.operands;
     Words added;
-    for (const uint32_t id : o)
-      if (const auto found = by_id_.find(id); found != by_id_.end())
+    size_t first = 2;  // behind execution model, function and name
+    const auto ends_name = [](uint32_t word) {
+      return !(word & 0xff) || !(word & 0xff00) || !(word & 0xff0000) || !(word & 0xff000000);
+    };
+    while (first < o.size() && !ends_name(o[first])) ++first;
+    for (size_t i = first + 1; i < o.size(); ++i)
+      if (const auto found = by_id_.find(o[i]); found != by_id_.end())
         added.push_back(variables_[found->second].shapes);
     o.insert(o.end(), added.begin(), added.end());
     append(head_, instruction.op, o);
@@ -459,11 +470,21 @@ class Lowering {
   }
 
   uint32_t shape_word(Words& code, const Variable& variable, uint32_t buffer, uint32_t at) {
-    const uint32_t chain = fresh(), value = fresh();
-    append(code, kOpAccessChain,
-           {variable.word_pointer, chain, variable.shapes, buffer, word(0), at});
-    append(code, kOpLoad, {word_type_, value, chain});
+    const uint32_t value = fresh();
+    append(code, kOpLoad,
+           {word_type_, value,
+            in_buffer(code, variable, variable.word_pointer, variable.shapes, buffer, at)});
     return value;
+  }
+
+  /// A pointer to word or element `at` of one of the variable's buffers.
+  uint32_t in_buffer(Words& code, const Variable& variable, uint32_t pointer_type, uint32_t blocks,
+                     uint32_t buffer, uint32_t at) {
+    const uint32_t chain = fresh();
+    append(code, kOpAccessChain, {pointer_type, chain, blocks, buffer, word(0), at});
+    if (is_non_uniform_ && variable.array != 0)
+      append(annotations_, kOpDecorate, {chain, kDecorationNonUniform});
+    return chain;
   }
 
   Result<uint32_t> count_of(uint32_t array) const {
@@ -573,10 +594,8 @@ class Lowering {
     result.inside = join(code, kOpLogicalAnd, bool_type_, address.inside, fits);
     const uint32_t sum = join(code, kOpIAdd, word_type_, address.offset, last), place = fresh();
     append(code, kOpSelect, {word_type_, place, result.inside, sum, word(0)});
-    result.pointer = fresh();
-    append(
-        code, kOpAccessChain,
-        {variable.element_pointer, result.pointer, variable.id, address.elements, word(0), place});
+    result.pointer =
+        in_buffer(code, variable, variable.element_pointer, variable.id, address.elements, place);
     return result;
   }
 
@@ -738,6 +757,7 @@ class Lowering {
       append(out, kOpExtension, string_words("SPV_KHR_8bit_storage"));
     if (capabilities_.contains(kCapabilityBuffer16))
       append(out, kOpExtension, string_words("SPV_KHR_16bit_storage"));
+    if (is_non_uniform_) append(out, kOpExtension, string_words("SPV_EXT_descriptor_indexing"));
     for (const Words* section :
          {&head_, &annotations_, &own_declarations_, &declarations_, &functions_, &helpers_})
       out.insert(out.end(), section->begin(), section->end());
@@ -759,6 +779,7 @@ class Lowering {
   std::set<uint32_t> capabilities_, stated_;
   uint32_t word_type_ = 0, bool_type_ = 0, void_type_ = 0;
   bool in_declarations_ = false, in_functions_ = false;
+  bool is_non_uniform_ = false;  ///< indices of tensor arrays may be
   Words first_, head_, annotations_, own_declarations_, declarations_, functions_, helpers_;
 };
 

@@ -314,8 +314,22 @@ Result<NativeDevice> NativeDevice::open(const DeviceArguments& arguments) {
   return NativeDevice(std::move(state));
 }
 
-Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vector<Tensor>& inputs,
-                                              uint32_t repeat, double* median_us) const {
+/// In the order of construction: what is used goes last.
+struct NativeNetwork::State {
+  const NativeDevice::State* device = nullptr;
+  std::vector<TensorType> outputs;
+  std::vector<NativeTensor> tensors;  ///< inputs, outputs
+  vk::SetLayoutHandle set_layout;
+  vk::PipelineLayoutHandle layout;
+  vk::DescriptorPoolHandle pool;
+  VkDescriptorSet set = VK_NULL_HANDLE;
+  vk::PipelineHandle pipeline;
+  std::vector<vk::MemoryHandle> memory;
+  Handle<VkDataGraphPipelineSessionARM> session;
+};
+
+Result<NativeNetwork> NativeDevice::load(const Graph& graph,
+                                         const std::vector<Tensor>& inputs) const {
   const vk::Context& context = state_->context;
   const vk::Functions& vk = context.vk;
   const ArmFunctions& arm = state_->arm;
@@ -336,7 +350,10 @@ Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vec
             make(vk.CreateShaderModule, vk.DestroyShaderModule, "vkCreateShaderModule",
                  context.device, module_info));
 
-  std::vector<NativeTensor> tensors;
+  auto network = std::make_unique<NativeNetwork::State>();
+  network->device = state_.get();
+  for (const ValueId id : graph.outputs) network->outputs.push_back(graph.value(id).type);
+  std::vector<NativeTensor>& tensors = network->tensors;
   const auto count = static_cast<uint32_t>(types.size());
   for (uint32_t i = 0; i < count; ++i) {
     const bool input = i < inputs.size();
@@ -353,31 +370,27 @@ Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vec
       init<VkDescriptorSetLayoutCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_CREATE_INFO);
   set_info.bindingCount = count;
   set_info.pBindings = bindings.data();
-  SHALE_TRY(const vk::SetLayoutHandle set_layout,
-            make(vk.CreateDescriptorSetLayout, vk.DestroyDescriptorSetLayout,
-                 "vkCreateDescriptorSetLayout", context.device, set_info));
-  const VkDescriptorSetLayout layouts[] = {set_layout.get()};
+  SHALE_TRY(network->set_layout, make(vk.CreateDescriptorSetLayout, vk.DestroyDescriptorSetLayout,
+                                      "vkCreateDescriptorSetLayout", context.device, set_info));
+  const VkDescriptorSetLayout layouts[] = {network->set_layout.get()};
   auto layout_info =
       init<VkPipelineLayoutCreateInfo>(VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO);
   layout_info.setLayoutCount = 1;
   layout_info.pSetLayouts = layouts;
-  SHALE_TRY(const vk::PipelineLayoutHandle layout,
-            make(vk.CreatePipelineLayout, vk.DestroyPipelineLayout, "vkCreatePipelineLayout",
-                 context.device, layout_info));
+  SHALE_TRY(network->layout, make(vk.CreatePipelineLayout, vk.DestroyPipelineLayout,
+                                  "vkCreatePipelineLayout", context.device, layout_info));
   const VkDescriptorPoolSize pool_size{VK_DESCRIPTOR_TYPE_TENSOR_ARM, count};
   auto pool_info = init<VkDescriptorPoolCreateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO);
   pool_info.maxSets = 1;
   pool_info.poolSizeCount = 1;
   pool_info.pPoolSizes = &pool_size;
-  SHALE_TRY(const vk::DescriptorPoolHandle pool,
-            make(vk.CreateDescriptorPool, vk.DestroyDescriptorPool, "vkCreateDescriptorPool",
-                 context.device, pool_info));
+  SHALE_TRY(network->pool, make(vk.CreateDescriptorPool, vk.DestroyDescriptorPool,
+                                "vkCreateDescriptorPool", context.device, pool_info));
   auto allocate = init<VkDescriptorSetAllocateInfo>(VK_STRUCTURE_TYPE_DESCRIPTOR_SET_ALLOCATE_INFO);
-  allocate.descriptorPool = pool.get();
+  allocate.descriptorPool = network->pool.get();
   allocate.descriptorSetCount = 1;
   allocate.pSetLayouts = layouts;
-  VkDescriptorSet set = VK_NULL_HANDLE;
-  SHALE_TRY_VOID(check(vk.AllocateDescriptorSets(context.device, &allocate, &set),
+  SHALE_TRY_VOID(check(vk.AllocateDescriptorSets(context.device, &allocate, &network->set),
                        "vkAllocateDescriptorSets"));
   for (uint32_t i = 0; i < count; ++i) {
     const VkTensorViewARM view = tensors[i].view.get();
@@ -387,7 +400,7 @@ Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vec
     written.pTensorViews = &view;
     auto write = init<VkWriteDescriptorSet>(VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET);
     write.pNext = &written;
-    write.dstSet = set;
+    write.dstSet = network->set;
     write.dstBinding = i;
     write.descriptorCount = 1;
     write.descriptorType = VK_DESCRIPTOR_TYPE_TENSOR_ARM;
@@ -423,7 +436,7 @@ Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vec
   auto pipeline_info =
       init<VkDataGraphPipelineCreateInfoARM>(VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_CREATE_INFO_ARM);
   pipeline_info.pNext = &stage;
-  pipeline_info.layout = layout.get();
+  pipeline_info.layout = network->layout.get();
   pipeline_info.resourceInfoCount = count;
   pipeline_info.pResourceInfos = resources.data();
   VkPipeline made = VK_NULL_HANDLE;
@@ -431,45 +444,71 @@ Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vec
       check(arm.CreateDataGraphPipelinesARM(context.device, VK_NULL_HANDLE, VK_NULL_HANDLE, 1,
                                             &pipeline_info, nullptr, &made),
             "vkCreateDataGraphPipelinesARM"));
-  const vk::PipelineHandle pipeline(context.device, made, vk.DestroyPipeline);
+  network->pipeline = vk::PipelineHandle(context.device, made, vk.DestroyPipeline);
   auto session_info = init<VkDataGraphPipelineSessionCreateInfoARM>(
       VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SESSION_CREATE_INFO_ARM);
   session_info.dataGraphPipeline = made;
-  SHALE_TRY(const Handle<VkDataGraphPipelineSessionARM> session,
+  SHALE_TRY(network->session,
             make(arm.CreateDataGraphPipelineSessionARM, arm.DestroyDataGraphPipelineSessionARM,
                  "vkCreateDataGraphPipelineSessionARM", context.device, session_info));
-  SHALE_TRY(const std::vector<vk::MemoryHandle> memory, state_->bind_session(session.get()));
+  SHALE_TRY(network->memory, state_->bind_session(network->session.get()));
+  return NativeNetwork(std::move(network));
+}
 
+NativeNetwork::NativeNetwork(std::unique_ptr<State> state) : state_(std::move(state)) {}
+NativeNetwork::NativeNetwork(NativeNetwork&&) noexcept = default;
+NativeNetwork::~NativeNetwork() = default;
+
+Result<double> NativeNetwork::run() {
+  const vk::Context& context = state_->device->context;
+  const auto begin = std::chrono::steady_clock::now();
+  SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
+    context.vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM,
+                               state_->pipeline.get());
+    context.vk.CmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM,
+                                     state_->layout.get(), 0, 1, &state_->set, 0, nullptr);
+    state_->device->arm.CmdDispatchDataGraphARM(commands, state_->session.get(), nullptr);
+    vk::memory_barrier(context, commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
+                       VK_ACCESS_MEMORY_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
+                       VK_ACCESS_HOST_READ_BIT);
+  }));
+  return std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - begin)
+      .count();
+}
+
+std::vector<Tensor> NativeNetwork::outputs() const {
+  std::vector<Tensor> outputs;
+  const size_t inputs = state_->tensors.size() - state_->outputs.size();
+  for (const TensorType& type : state_->outputs) {
+    Tensor output = Tensor::zeros(type);
+    std::memcpy(output.bytes.data(), state_->tensors[inputs + outputs.size()].mapped,
+                output.bytes.size());
+    outputs.push_back(std::move(output));
+  }
+  return outputs;
+}
+
+Result<std::vector<Tensor>> NativeDevice::run(const Graph& graph, const std::vector<Tensor>& inputs,
+                                              uint32_t repeat, double* median_us,
+                                              StartTimes* start) const {
+  const auto begin = std::chrono::steady_clock::now();
+  SHALE_TRY(NativeNetwork network, load(graph, inputs));
+  if (start)
+    start->create_ms =
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin).count();
   std::vector<double> times;
   Progress progress("running");
   for (uint32_t i = 0; i < repeat; ++i) {
     if (!progress.step(i, repeat)) return bad_input("", "interrupted");
-    const auto begin = std::chrono::steady_clock::now();
-    SHALE_TRY_VOID(vk::submit_and_wait(context, [&](VkCommandBuffer commands) {
-      vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, made);
-      vk.CmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, layout.get(), 0, 1,
-                               &set, 0, nullptr);
-      arm.CmdDispatchDataGraphARM(commands, session.get(), nullptr);
-      vk::memory_barrier(context, commands, VK_PIPELINE_STAGE_ALL_COMMANDS_BIT,
-                         VK_ACCESS_MEMORY_WRITE_BIT, VK_PIPELINE_STAGE_HOST_BIT,
-                         VK_ACCESS_HOST_READ_BIT);
-    }));
-    times.push_back(
-        std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - begin)
-            .count());
+    SHALE_TRY(times.emplace_back(), network.run());
   }
+  if (start) start->first_ms = 1e-3 * times.front();
   if (median_us) {
     const auto middle = times.begin() + static_cast<ptrdiff_t>(times.size() / 2);
     std::nth_element(times.begin(), middle, times.end());
     *median_us = *middle;
   }
-  std::vector<Tensor> outputs;
-  for (size_t i = 0; i < graph.outputs.size(); ++i) {
-    Tensor output = Tensor::zeros(graph.value(graph.outputs[i]).type);
-    std::memcpy(output.bytes.data(), tensors[inputs.size() + i].mapped, output.bytes.size());
-    outputs.push_back(std::move(output));
-  }
-  return outputs;
+  return network.outputs();
 }
 
 }  // namespace shale

@@ -11,6 +11,24 @@
 
 namespace shale {
 
+/// A graph on a NativeDevice, which must outlive it, with tensors of its own: ready to be run again and again.
+class NativeNetwork {
+ public:
+  NativeNetwork(NativeNetwork&&) noexcept;
+  ~NativeNetwork();
+
+  /// Records and dispatches once; microseconds to the end of the work. Errors: kDevice.
+  Result<double> run();
+  /// Of the last run, in the order of the graph.
+  std::vector<Tensor> outputs() const;
+
+ private:
+  friend class NativeDevice;
+  struct State;
+  explicit NativeNetwork(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
 /// A device that has VK_ARM_tensors and VK_ARM_data_graph, by its driver or by a layer, opened as any program
 /// would: nothing of Shale's kernels is used.
 class NativeDevice {
@@ -25,16 +43,21 @@ class NativeDevice {
 
   const std::string& name() const;
   /// Writes the graph as a SPIR-V module (its constants beside it), makes pipeline, session and tensors
-  /// of linear tiling, and dispatches `repeat` times; returns the outputs of the last time. `inputs` are those
-  /// of the graph, in order and of its types. With `median_us`, the median from submission to its end.
+  /// of linear tiling. `inputs` are those of the graph, in order and of its types.
   /// Errors: kUnsupported for a tensor that Vulkan has not; kDevice.
+  Result<NativeNetwork> load(const Graph& graph, const std::vector<Tensor>& inputs) const;
+  /// load(), and `repeat` runs; returns the outputs of the last one. With `median_us`, the median over the runs;
+  /// with `start`, how long load() and the first run took.
+  /// Errors: those of load(); kBadInput if the user interrupts.
   Result<std::vector<Tensor>> run(const Graph& graph, const std::vector<Tensor>& inputs,
-                                  uint32_t repeat = 1, double* median_us = nullptr) const;
+                                  uint32_t repeat = 1, double* median_us = nullptr,
+                                  StartTimes* start = nullptr) const;
   std::vector<std::string> take_validation_messages();
   /// Errors: kDevice with the first validation message.
   Result<void> close();
 
  private:
+  friend class NativeNetwork;
   struct State;
   explicit NativeDevice(std::unique_ptr<State> state);
   std::unique_ptr<State> state_;

@@ -218,12 +218,13 @@ Result<int> run(const Arguments& arguments) {
   }
   std::vector<Tensor> outputs;
   std::vector<DispatchTime> times;
+  StartTimes start;
   const bool measure = arguments.profile || !arguments.profile_file.empty();
   const uint64_t seed = arguments.random_seed.value_or(0);
   if (native) {
     fill_random(inputs, ranges, seed);
     double median_us = 0;
-    SHALE_TRY(outputs, native->run(*graph, inputs, arguments.repeat, &median_us));
+    SHALE_TRY(outputs, native->run(*graph, inputs, arguments.repeat, &median_us, &start));
     if (measure) times.push_back({"graph", "native", "graph", median_us});
   } else {
     // Times are those of the fast kernels; a single run is over before these are there.
@@ -231,10 +232,11 @@ Result<int> run(const Arguments& arguments) {
                             : arguments.repeat > 1 ? Compile::kInBackground
                                                    : Compile::kByHost;
     // The device refuses what it cannot run before there are random inputs.
-    SHALE_TRY(NetworkRun network, NetworkRun::create(*device, *package, nullptr, compile));
+    SHALE_TRY(NetworkRun network, NetworkRun::create(*device, *package, &start, compile));
     fill_random(inputs, ranges, seed);
     SHALE_TRY_VOID(network.set_inputs(inputs));
-    SHALE_TRY(outputs, run_repeatedly(network, arguments.repeat, measure ? &times : nullptr));
+    SHALE_TRY(outputs,
+              run_repeatedly(network, arguments.repeat, measure ? &times : nullptr, &start));
   }
 
   const std::string& device_name = native ? native->name() : device->context().caps.name;
@@ -276,6 +278,7 @@ Result<int> run(const Arguments& arguments) {
     json["dispatches"].push_back(
         {{"name", time.name}, {"kernel", time.kernel}, {"time_us", time.time_us}});
   }
+  json["start"] = {{"create_ms", start.create_ms}, {"first_ms", start.first_ms}};
   if (measure) json["total_us"] = total_us;
   if (!arguments.profile_file.empty())
     SHALE_TRY_VOID(write_text(arguments.profile_file, json_text(json)));
@@ -289,6 +292,8 @@ Result<int> run(const Arguments& arguments) {
   for (const LayerCheck& layer : layers)
     fmt::print("layer \"{}\" alone: {}\n", layer.name, layer.check.text());
   if (arguments.profile) {
+    fmt::print("  {:.0f} ms to be ready, {:.0f} ms for the first run\n", start.create_ms,
+               start.first_ms);
     for (const DispatchTime& time : times)
       fmt::print("  {:>10.1f} us {:>5.1f} %  {:<20} {}\n", time.time_us,
                  total_us > 0 ? 100 * time.time_us / total_us : 0.0, time.kernel, time.name);
