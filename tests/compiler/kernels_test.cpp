@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <limits>
+#include <tuple>
 
 #include "compiler/driver/compile.h"
 #include "tests/compiler/conv_case.h"
@@ -177,6 +178,69 @@ INSTANTIATE_TEST_SUITE_P(Kernels, EveryKernel, testing::ValuesIn(every_case()),
                            return replaced(
                                std::get<0>(test.param) + "_" + std::get<1>(test.param).name, "-",
                                "minus");
+                         });
+
+/// Every step of the ladder of scales in one convolution, a channel each: multipliers at both ends, shifts from 2 to 62, and
+/// sums as large as a shift takes. `bias` stands on the channels whose shift takes any sum.
+Graph ladder(int64_t input_zp, int64_t output_zp, int64_t bias) {
+  constexpr int64_t kInputs = 4, kTaps = 3 * 3 * kInputs, kLargest = kTaps * 255;
+  std::vector<int64_t> weights, biases, multipliers, shifts;
+  std::mt19937_64 random(7);
+  for (const int64_t shift : {2, 3, 10, 15, 20, 31, 32, 38, 46, 60, 62})
+    for (const int64_t multiplier : {int64_t{1} << 30, int64_t{INT32_MAX}}) {
+      const int64_t most = shift < 32 ? (int64_t{1} << (shift - 1)) - 1 : INT32_MAX;
+      const int64_t largest_weight = std::min<int64_t>(most / kLargest, 127);
+      for (int64_t i = 0; i < kTaps; ++i)
+        weights.push_back(static_cast<int64_t>(random() % 255) % (2 * largest_weight + 1) -
+                          largest_weight);
+      const int64_t rest = most - largest_weight * kLargest;
+      const int64_t own = shift < 32 ? std::min<int64_t>(rest, 20000) : bias;
+      biases.push_back(multiplier == INT32_MAX ? own : -own);
+      multipliers.push_back(multiplier);
+      shifts.push_back(shift);
+    }
+  const size_t oc = shifts.size();
+  return graph_of(fmt::format(
+      R"(graph main {{
+  input %x : i8[1,5,7,4]
+  const %w : i8[{0},3,3,4] = [{1}]
+  const %b : i32[{0}] = [{2}]
+  const %zp : i8[1] = [{3}]
+  const %wzp : i8[1] = [0]
+  const %m : i32[{0}] = [{4}]
+  const %s : i8[{0}] = [{5}]
+  const %z : i32[1] = [0]
+  const %oz : i8[1] = [{6}]
+  %acc = conv2d %x, %w, %b, %zp, %wzp {{pad=[1,1,1,1], stride=[1,1], dilation=[1,1], acc_type=i32}} : i32[1,5,7,{0}]
+  %q = rescale %acc, %m, %s, %z, %oz {{scale32=true, rounding_mode=single, per_channel=true, input_unsigned=false, output_unsigned=false}} : i8[1,5,7,{0}]
+  return %q
+}})",
+      oc, fmt::join(weights, ","), fmt::join(biases, ","), input_zp, fmt::join(multipliers, ","),
+      fmt::join(shifts, ","), output_zp));
+}
+
+class EveryScale : public EveryKernel {};
+
+TEST_P(EveryScale, MatchesTheInterpreterExactly) {
+  const auto& [kernel, row] = GetParam();
+  const std::vector<std::string> taken = expect_exact(ladder(-128, 127, 20000), kernel, true);
+  EXPECT_EQ(std::ranges::find(taken, kernel) != taken.end(), takes(kernel, row));
+  // With the largest shift half of the product is left: results next to 0, on either side of the middle.
+  expect_exact(ladder(127, -128, int64_t{1} << 30), kernel, true);
+}
+
+std::vector<std::tuple<std::string, ConvCase>> every_scale() {
+  std::vector<std::tuple<std::string, ConvCase>> cases;
+  for (const KernelFamily& family : all_kernels())
+    if (family.name != "conv2d_s8_coopmat")
+      for (const DType dtype : types_of(family.name))
+        if (dtype == DType::kInt8) cases.emplace_back(family.name, ConvCase{.name = "scales"});
+  return cases;
+}
+
+INSTANTIATE_TEST_SUITE_P(Kernels, EveryScale, testing::ValuesIn(every_scale()),
+                         [](const testing::TestParamInfo<EveryScale::ParamType>& test) {
+                           return std::get<0>(test.param);
                          });
 
 }  // namespace

@@ -57,6 +57,29 @@ TEST(Arith, AppliesScale32) {
         << row.value << " * " << row.multiplier << " >> " << row.shift << " " << row.double_round;
 }
 
+TEST(Arith, AppliesEveryShiftAtTheEndsOfMultiplierAndValue) {
+  // Scales from 2^-32 to almost 2^29, against whole numbers that hold every product.
+  using Wide = __int128;
+  for (int64_t shift = 2; shift <= 62; ++shift)
+    for (const int64_t multiplier : {int64_t{1} << 30, kMax32})
+      for (const bool double_round : {false, true}) {
+        const int64_t most = shift < 32 ? (int64_t{1} << (shift - 1)) - 1 : kMax32;
+        for (const int64_t value : {-most - 1, -most, int64_t{-1}, int64_t{0}, int64_t{1}, most}) {
+          const int64_t twice = double_round && shift > 31 ? int64_t{1} << 30 : 0;
+          const Wide sum =
+              Wide{value} * multiplier + (Wide{1} << (shift - 1)) + (value >= 0 ? twice : -twice);
+          const auto expected = static_cast<int64_t>(sum >> shift);
+          EXPECT_EQ(
+              apply_scale_32(value, multiplier, shift, double_round),
+              expected >= kMin32 && expected <= kMax32 ? std::optional(expected) : std::nullopt)
+              << value << " * " << multiplier << " >> " << shift << " " << double_round;
+        }
+        for (const int64_t value : {-most - 2, most + 1}) {
+          EXPECT_EQ(apply_scale_32(value, multiplier, shift, double_round), std::nullopt);
+        }
+      }
+}
+
 TEST(Arith, AppliesScale16WithoutBoundOnTheValue) {
   constexpr int64_t max48 = (int64_t{1} << 47) - 1;
   EXPECT_EQ(apply_scale_16(1000, 1, 2), 250);

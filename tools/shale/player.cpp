@@ -191,6 +191,7 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
   sandwich.name = model.name;
   sandwich.pattern = model.frame->pattern;
   sandwich.package = std::move(compiled.package);
+  sandwich.frame = model.frame;
   if (model.bytes.empty()) return sandwich;
   SHALE_TRY(sandwich.graphs.emplace_back(), import_model(model.bytes, options.import));
   if (!model.frame->chosen_by.empty())

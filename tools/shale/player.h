@@ -27,7 +27,8 @@ namespace shale {
 struct Sandwich {
   std::string name;
   Package package;
-  SamplingPattern pattern{};  ///< that it is made for; of a package not known
+  SamplingPattern pattern{};     ///< that it is made for; of a package not known
+  std::optional<Frame> frame{};  ///< what frame.json says; of a package not known
   /// Before the passes: one, or where a parameter chooses among programs, the one of each. None for
   /// a package, or without a network.
   std::vector<Graph> graphs;

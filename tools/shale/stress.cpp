@@ -15,6 +15,7 @@
 #include "tools/shale/cost_page.h"
 #include "tools/shale/player.h"
 #include "tools/shale/stress_frames.h"
+#include "tools/shale/stress_reference.h"
 
 namespace shale {
 namespace {
@@ -29,10 +30,13 @@ constexpr float kLargestHalf = 65504;
 constexpr double kOvershoot = 4.0 / 2048;
 /// Display codes that nobody sees.
 constexpr double kSeenCodes = 2, kDriftCodes = 0.5;
+/// In the mean, between a device's floats and a model's doubles.
+constexpr double kReferenceCodes = 0.5;
 
 struct Arguments {
   std::string model, page, json_file;
   std::vector<std::string> only;
+  std::string reference = "stored";
   uint32_t recover = 32, frames = 256, search = 0;
   uint64_t seed = 1;
   CompileArguments compile;
@@ -194,6 +198,12 @@ class Subject {
     SHALE_TRY(Sandwich sandwich, load_sandwich(arguments.model, compile, {}, output));
     Subject subject;
     SHALE_TRY(subject.player_, Player::create(device, sandwich.package));
+    if (Result<StressReference> reference = StressReference::create(
+            sandwich, *subject.player_, compile.tiles.value_or(0) > 0,
+            arguments.reference == "exact" ? nss_v1::Rounding::kNone : nss_v1::Rounding::kAsStored))
+      subject.reference_ = *std::move(reference);
+    else
+      subject.why_no_reference_ = reference.error().text();
     subject.graphs_ = std::move(sandwich.graphs);
     subject.pattern_ = sandwich.pattern;
     return subject;
@@ -209,6 +219,20 @@ class Subject {
   }
   StressFrames frames() const {
     return {player_->render_size(), player_->output_size(), pattern_, display()};
+  }
+
+  /// The next frame starts without a past.
+  void reset() {
+    player_->reset();
+    if (reference_) reference_->reset();
+  }
+  /// Empty if there is one.
+  const std::string& why_no_reference() const { return why_no_reference_; }
+  /// What the model shows of the frame that was played last; nothing without one. It has to see each frame.
+  Result<std::optional<FloatImage>> reference(const SourceFrame& frame, bool of_device) {
+    if (!reference_) return std::optional<FloatImage>();
+    SHALE_TRY(FloatImage picture, reference_->play(frame, *player_, of_device));
+    return std::optional(std::move(picture));
   }
 
   /// The linear picture, or the displayed one of a sandwich of such.
@@ -258,6 +282,31 @@ class Subject {
   std::vector<Graph> graphs_;
   SamplingPattern pattern_;
   BoundsFound found_;
+  std::optional<StressReference> reference_;
+  std::string why_no_reference_;
+};
+
+/// How far what a device shows departs from what the model in double precision shows.
+class ReferenceDeparture {
+ public:
+  void add(const Difference& d) {
+    largest_ = std::max(largest_, d.largest);
+    means_ += d.mean;
+    ++frames_;
+  }
+  double mean() const { return frames_ > 0 ? means_ / frames_ : 0; }
+  /// Nothing is null: there is no model.
+  void write(Json& row, std::vector<std::string>& broken) const {
+    row["reference_largest_codes"] = frames_ > 0 ? Json(largest_) : Json();
+    row["reference_mean_codes"] = frames_ > 0 ? Json(mean()) : Json();
+    if (mean() > kReferenceCodes)
+      broken.push_back(
+          fmt::format("{:.2f} codes in the mean from the model in double precision", mean()));
+  }
+
+ private:
+  double largest_ = 0, means_ = 0;
+  uint32_t frames_ = 0;
 };
 
 /// A fault in kFaultFrames frames between clean ones, against the same frames without it. It has passed when no more
@@ -269,13 +318,13 @@ class FaultRun {
 
   /// Plays without a fault and with a cut: what the others are compared with.
   Result<void> prepare() {
-    subject_.player().reset();
+    subject_.reset();
     for (uint32_t i = 0; i < count(); ++i) {
       const SourceFrame frame = frames_.frame(Course::kMoving, i);
       SHALE_TRY(const FloatImage picture, subject_.play(frame));
       clean_.push_back(subject_.shown(picture, frame.camera.exposure));
     }
-    subject_.player().reset();
+    subject_.reset();
     for (uint32_t i = 0; i < count(); ++i) {
       SourceFrame frame = frames_.frame(Course::kMoving, i);
       frame.camera.cut = i == kWarmFrames + kFaultFrames;
@@ -289,7 +338,7 @@ class FaultRun {
   double most_left() const { return of_cut_ + kSeenCodes; }
 
   Result<Json> run(const Fault& fault) {
-    subject_.player().reset();
+    subject_.reset();
     Range output;
     double seen = 0;  // the largest finite colour that went in
     double above = 0, below = 0, highest = 0;
@@ -298,6 +347,7 @@ class FaultRun {
     Difference struck, left;
     uint32_t lasts = 0;
     std::optional<std::string> departs;
+    ReferenceDeparture from_model;
     for (uint32_t i = 0; i < count(); ++i) {
       SourceFrame frame = frames_.frame(Course::kMoving, i);
       const float undisturbed = frame.camera.exposure;
@@ -319,7 +369,11 @@ class FaultRun {
       }
       below = std::min(below, range.low * exposure);
       // As the undisturbed exposure shows it, so that what differs is the picture.
-      left = difference(subject_.shown(picture, undisturbed), clean_[i]);
+      const FloatImage shown = subject_.shown(picture, undisturbed);
+      left = difference(shown, clean_[i]);
+      SHALE_TRY(const auto model, subject_.reference(frame, false));
+      if (model && i >= kWarmFrames)
+        from_model.add(difference(shown, subject_.shown(*model, undisturbed)));
       curve.push_back(left.largest);
       if (left.largest > kSeenCodes && i >= kWarmFrames + kFaultFrames)
         lasts = i + 1 - kWarmFrames - kFaultFrames;
@@ -329,8 +383,7 @@ class FaultRun {
         SHALE_TRY(json["saturated"], subject_.saturation());
         SHALE_TRY(departs, subject_.departs());
       }
-      if (i == kWarmFrames && fault.group == "texels")
-        json["reach"] = reach(subject_.shown(picture, undisturbed), clean_[i]);
+      if (i == kWarmFrames && fault.group == "texels") json["reach"] = reach(shown, clean_[i]);
     }
     SHALE_TRY(const uint64_t left_broken, subject_.broken_history());
     std::vector<std::string> broken;
@@ -347,6 +400,7 @@ class FaultRun {
       broken.push_back(fmt::format("{:.0f} codes are left after {} frames, {:.0f} of a cut",
                                    left.largest, arguments_.recover, of_cut_));
     if (departs) broken.push_back("the network departs from the interpreter: " + *departs);
+    from_model.write(json, broken);
     json.update({{"not_finite", output.not_finite},
                  {"broken_history", broken_history},
                  {"low", output.low},
@@ -404,11 +458,12 @@ Result<Json> run_course(const Arguments& arguments, Subject& subject, Course cou
   const StressFrames frames = subject.frames();
   const uint32_t cycle = frames.cycle();
   const uint32_t cycles = std::max(4u, (arguments.frames + cycle - 1) / cycle), settled = 1;
-  subject.player().reset();
+  subject.reset();
   std::vector<SourceFrame> inputs;
   for (uint32_t i = 0; i < cycle; ++i) inputs.push_back(frames.frame(course, i));
   std::vector<FloatImage> reference;
-  std::vector<double> means;
+  std::vector<double> means, model_means;
+  ReferenceDeparture from_model;
   Json curve = Json::array();
   Range output;
   double largest = 0, swing = 0;
@@ -416,14 +471,25 @@ Result<Json> run_course(const Arguments& arguments, Subject& subject, Course cou
   Held before;
   for (uint32_t k = 0; k < cycles; ++k) {
     Difference worst;
+    ReferenceDeparture of_cycle;
     std::vector<float> low, high;
     for (uint32_t i = 0; i < cycle; ++i) {
       if (!progress.step(size_t{k} * cycle + i, size_t{cycles} * cycle))
         return bad_input("", "interrupted");
       SHALE_TRY(const FloatImage picture, subject.play(inputs[i]));
-      if (i % kLookedAt == 0) SHALE_TRY_VOID(subject.look());
+      const float exposure = inputs[i].camera.exposure;
       output.add(picture);
-      FloatImage shown = subject.shown(picture, inputs[i].camera.exposure);
+      FloatImage shown = subject.shown(picture, exposure);
+      // The interpreter would take most of the time.
+      SHALE_TRY(const auto model, subject.reference(inputs[i], true));
+      if (i % kLookedAt == 0) {
+        SHALE_TRY_VOID(subject.look());
+        if (model) {
+          const Difference d = difference(shown, subject.shown(*model, exposure));
+          from_model.add(d);
+          of_cycle.add(d);
+        }
+      }
       if (course == Course::kStill && k == cycles - 1) {
         if (low.empty()) low = high = shown.values;
         for (size_t v = 0; v < low.size(); ++v) {
@@ -439,6 +505,7 @@ Result<Json> run_course(const Arguments& arguments, Subject& subject, Course cou
     }
     for (size_t v = 0; v < low.size(); ++v)
       swing += 255.0 * static_cast<double>(high[v] - low[v]) / static_cast<double>(low.size());
+    model_means.push_back(of_cycle.mean());
     if (k == settled) before = held();
     if (k <= settled) continue;
     means.push_back(worst.mean);
@@ -458,17 +525,21 @@ Result<Json> run_course(const Arguments& arguments, Subject& subject, Course cou
   if (after.files > before.files)
     broken.push_back(fmt::format("{} files more are open", after.files - before.files));
   if (departs) broken.push_back("the network departs from the interpreter: " + *departs);
-  Json json{{"course", course_name(course)},
-            {"frames", cycles * cycle},
-            {"cycle", cycle},
-            {"low", output.low},
-            {"high", output.high},
-            {"drift_mean_codes", means.back()},
-            {"drift_largest_codes", largest},
-            {"drift_codes_per_1000_frames", rate},
-            {"memory_growth_mb", after.megabytes - before.megabytes},
-            {"codes", std::move(curve)},
-            {"verdict", broken.empty() ? "holds" : joined(broken)}};
+  Json json;
+  from_model.write(json, broken);
+  if (subject.why_no_reference().empty())
+    json["reference_codes_per_1000_frames"] = slope(model_means) / cycle * 1000;
+  json.update({{"course", course_name(course)},
+               {"frames", cycles * cycle},
+               {"cycle", cycle},
+               {"low", output.low},
+               {"high", output.high},
+               {"drift_mean_codes", means.back()},
+               {"drift_largest_codes", largest},
+               {"drift_codes_per_1000_frames", rate},
+               {"memory_growth_mb", after.megabytes - before.megabytes},
+               {"codes", std::move(curve)},
+               {"verdict", broken.empty() ? "holds" : joined(broken)}});
   if (course == Course::kStill) json["swing_codes"] = swing;
   return json;
 }
@@ -560,29 +631,41 @@ Result<Json> search(const Arguments& arguments, Subject& int8, Subject& fp32, Pr
   return json;
 }
 
+/// Largest and mean departure.
+std::string of_model(const Json& row) {
+  return row["reference_mean_codes"].is_null()
+             ? "-"
+             : fmt::format("{:.0f}, {:.4f}", row["reference_largest_codes"].get<double>(),
+                           row["reference_mean_codes"].get<double>());
+}
+
 void print(const Json& json) {
   if (!json["faults"].empty()) {
-    fmt::print("{:<10} {:<22} {:>11} {:>11} {:>7} {:>6} {:>6} {:>6}  {}\n", "group", "fault", "low",
-               "high", "struck", "area", "lasts", "left", "verdict");
+    fmt::print("{:<10} {:<22} {:>11} {:>11} {:>7} {:>6} {:>6} {:>6} {:>12}  {}\n", "group", "fault",
+               "low", "high", "struck", "area", "lasts", "left", "of model", "verdict");
     for (const Json& row : json["faults"])
       fmt::print(
-          "{:<10} {:<22} {:>11.4g} {:>11.4g} {:>7.0f} {:>4.0f} % {:>6} {:>6.0f}  {}\n",
+          "{:<10} {:<22} {:>11.4g} {:>11.4g} {:>7.0f} {:>4.0f} % {:>6} {:>6.0f} {:>12}  {}\n",
           row["group"].get<std::string>(), row["fault"].get<std::string>(),
           row["low"].get<double>(), row["high"].get<double>(), row["struck_codes"].get<double>(),
           100 * row["struck_share"].get<double>(),
           row["lasts_frames"].is_null() ? "-" : std::to_string(row["lasts_frames"].get<uint32_t>()),
-          row["left_codes"].get<double>(), one_line(row["verdict"].get<std::string>()));
+          row["left_codes"].get<double>(), of_model(row),
+          one_line(row["verdict"].get<std::string>()));
     fmt::print(
         "struck, left: largest difference in display codes; lasts: frames after the fault\n");
   }
   if (!json["courses"].empty()) {
-    fmt::print("\n{:<10} {:>8} {:>9} {:>9} {:>12} {:>8}  {}\n", "course", "frames", "drift",
-               "largest", "codes/1000", "MB more", "verdict");
+    fmt::print("\n{:<10} {:>8} {:>9} {:>9} {:>12} {:>12} {:>12} {:>8}  {}\n", "course", "frames",
+               "drift", "largest", "codes/1000", "of model", "codes/1000", "MB more", "verdict");
     for (const Json& row : json["courses"])
-      fmt::print("{:<10} {:>8} {:>9.3f} {:>9.0f} {:>12.4f} {:>8.1f}  {}\n",
+      fmt::print("{:<10} {:>8} {:>9.3f} {:>9.0f} {:>12.4f} {:>12} {:>12} {:>8.1f}  {}\n",
                  row["course"].get<std::string>(), row["frames"].get<uint32_t>(),
                  row["drift_mean_codes"].get<double>(), row["drift_largest_codes"].get<double>(),
-                 row["drift_codes_per_1000_frames"].get<double>(),
+                 row["drift_codes_per_1000_frames"].get<double>(), of_model(row),
+                 row.contains("reference_codes_per_1000_frames")
+                     ? fmt::format("{:.4f}", row["reference_codes_per_1000_frames"].get<double>())
+                     : "-",
                  row["memory_growth_mb"].get<double>(),
                  one_line(row["verdict"].get<std::string>()));
     for (const Json& row : json["courses"])
@@ -590,6 +673,8 @@ void print(const Json& json) {
         fmt::print("at rest a value swings by {:.2f} codes within a cycle, in the mean\n",
                    row["swing_codes"].get<double>());
   }
+  if (!json["faults"].empty() || !json["courses"].empty())
+    fmt::print("{}\n", json["reference"].get<std::string>());
   if (!json["bounds"].empty())
     fmt::print("\n{:<12} {:>26} {:>26} {:>15}  {}\n", "of", "proven, for every input", "found",
                "found of proven", "verdict");
@@ -617,6 +702,18 @@ void print(const Json& json) {
              json["verdicts"].get<size_t>());
 }
 
+/// What the model is, or why there is none.
+std::string reference_text(const Arguments& arguments, const Subject& subject) {
+  if (!subject.why_no_reference().empty()) return subject.why_no_reference();
+  return fmt::format(
+      "of model: largest and mean difference in display codes from the passes of NSS v1 in double "
+      "precision, which round {}; the network by the exact interpreter at faults, as the device "
+      "had "
+      "it over time",
+      arguments.reference == "exact" ? "nothing but the network's inputs"
+                                     : "where the shaders store");
+}
+
 Result<int> stress(const Arguments& arguments) {
   const auto wanted = [&](std::string_view group) {
     return arguments.only.empty() ||
@@ -629,12 +726,14 @@ Result<int> stress(const Arguments& arguments) {
   {
     SHALE_TRY(Subject subject, Subject::create(arguments, device, arguments.compile.precision, {}));
     const Extent render = subject.player().render_size(), output = subject.player().output_size();
-    json.update({{"render", {render.width, render.height}},
+    json.update({{"reference", reference_text(arguments, subject)},
+                 {"render", {render.width, render.height}},
                  {"output", {output.width, output.height}},
                  {"limits",
                   {{"after_frames", arguments.recover},
                    {"overshoot", kOvershoot},
-                   {"drift_codes", kDriftCodes}}},
+                   {"drift_codes", kDriftCodes},
+                   {"reference_codes", kReferenceCodes}}},
                  {"faults", Json::array()},
                  {"courses", Json::array()},
                  {"bounds", Json::array()},
@@ -717,6 +816,10 @@ Action add_stress(CLI::App& app) {
   app.add_option("--frames", arguments->frames,
                  "frames of each course over time; whole cycles, four at least")
       ->check(CLI::Range(1, 10000000));
+  app.add_option("--reference", arguments->reference,
+                 "model in double precision beside NSS v1 up to 32x18: \"stored\" rounds where the "
+                 "shaders store, \"exact\" nothing but the network's inputs")
+      ->check(CLI::IsMember({"stored", "exact"}));
   app.add_flag("--precisions", arguments->precisions,
                "also int8, int16 and fp16 against fp32 on the same frames");
   app.add_option("--search", arguments->search,

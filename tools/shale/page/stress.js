@@ -2,7 +2,7 @@
 (() => {
   const { data, colours, element, table, chart, group, dim, start } = page;
   const limits = data.limits;
-  dim(`${data.model}, ${data.render.join("x")} to ${data.output.join("x")}, on ${data.device}. ${data.hold} of ${data.verdicts} verdicts hold. Limits: all values finite; the output between 0 and the brightest colour that went in, to ${limits.overshoot} of x / (1 + x);${limits.codes === undefined ? "" : ` after ${limits.after_frames} frames at most ${limits.codes.toFixed(0)} display codes of a fault are left, two more than of a cut;`} over time at most ${limits.drift_codes} codes of drift in the mean; the network as the interpreter has it.`);
+  dim(`${data.model}, ${data.render.join("x")} to ${data.output.join("x")}, on ${data.device}. ${data.hold} of ${data.verdicts} verdicts hold. Limits: all values finite; the output between 0 and the brightest colour that went in, to ${limits.overshoot} of x / (1 + x);${limits.codes === undefined ? "" : ` after ${limits.after_frames} frames at most ${limits.codes.toFixed(0)} display codes of a fault are left, two more than of a cut;`} over time at most ${limits.drift_codes} codes of drift in the mean; the network as the interpreter has it; at most ${limits.reference_codes} codes in the mean from the model. ${data.reference}.`);
   const lines = (place, title, rows, name, unit) => chart(place, title, () => ({
     type: "line",
     data: {
@@ -19,6 +19,7 @@
       { title: "high", unit: "output", at: "/high", digits: 3 }, { title: "struck", unit: "codes, largest", at: "/struck_codes", digits: 0 },
       { title: "area", unit: "% of pixels", at: "/struck_share", scale: 100, digits: 1 }, { title: "reach", unit: "pixels", at: "/reach", digits: 1 },
       { title: "lasts", unit: "frames after", at: "/lasts_frames", digits: 0 }, { title: "left", unit: "codes", at: "/left_codes", digits: 0 },
+      { title: "of model", unit: "codes, largest", at: "/reference_largest_codes", digits: 0 }, { title: "of model", unit: "codes, mean", at: "/reference_mean_codes", digits: 4 },
       { title: "verdict", at: "/verdict" },
     ], data.faults.map((_, i) => `/faults/${i}`));
     const place = group();
@@ -37,6 +38,8 @@
     table([
       { title: "course", at: "/course" }, { title: "frames", at: "/frames", digits: 0 }, { title: "drift", unit: "codes, mean", at: "/drift_mean_codes", digits: 3 },
       { title: "largest", unit: "codes", at: "/drift_largest_codes", digits: 0 }, { title: "rate", unit: "codes in 1000 frames", at: "/drift_codes_per_1000_frames", digits: 4 },
+      { title: "of model", unit: "codes, largest", at: "/reference_largest_codes", digits: 0 }, { title: "of model", unit: "codes, mean", at: "/reference_mean_codes", digits: 4 },
+      { title: "of model", unit: "codes in 1000 frames", at: "/reference_codes_per_1000_frames", digits: 5 },
       { title: "swing at rest", unit: "codes, mean", at: "/swing_codes", digits: 2 }, { title: "memory", unit: "MB more", at: "/memory_growth_mb", digits: 1 },
       { title: "verdict", at: "/verdict" },
     ], data.courses.map((_, i) => `/courses/${i}`));

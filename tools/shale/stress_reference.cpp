@@ -1,0 +1,59 @@
+#include "tools/shale/stress_reference.h"
+
+#include <algorithm>
+
+#include "ir/reference/interpreter.h"
+
+namespace shale {
+namespace {
+
+/// Render pixels, up to which the model and the interpreter keep up.
+constexpr uint32_t kMostPixels = 32 * 18;
+
+/// "temporal" and "kernel" of a network's outputs, which come in the order of `names`.
+Result<std::pair<Tensor, Tensor>> outputs_of(const std::vector<const Resource*>& resources,
+                                             std::vector<Tensor> tensors) {
+  const auto take = [&](std::string_view name) {
+    const auto found = std::ranges::find(resources, name, &Resource::name);
+    return std::move(tensors[static_cast<size_t>(found - resources.begin())]);
+  };
+  return std::pair{take("temporal"), take("kernel")};
+}
+
+}  // namespace
+
+Result<StressReference> StressReference::create(const Sandwich& sandwich, const Player& player,
+                                                bool has_tolerance, nss_v1::Rounding rounding) {
+  if (!sandwich.frame)
+    return unsupported("", "no reference: a package does not say what its passes are");
+  SHALE_TRY(const nss_v1::Form form, nss_v1::form_of(*sandwich.frame, player.variant()));
+  if (sandwich.graphs.size() != 1)
+    return unsupported("", "no reference: this sandwich has {} networks, expected 1",
+                       sandwich.graphs.size());
+  if (has_tolerance)
+    return unsupported("", "no reference: settled tiles hold what the passes would change");
+  if (form.render.width * form.render.height > kMostPixels)
+    return unsupported(
+        "", "no reference beyond {} render pixels, such as --render 32x18: it takes long",
+        kMostPixels);
+  return StressReference(sandwich.graphs[0], form, rounding);
+}
+
+Result<FloatImage> StressReference::play(const SourceFrame& frame, const Player& player,
+                                         bool of_device) {
+  const std::vector<const Resource*> resources = tensors_of(player.variant(), Category::kOutput);
+  return model_.play(frame, [&](const Tensor& input) -> Result<std::pair<Tensor, Tensor>> {
+    std::vector<Tensor> outputs;
+    if (!of_device) {
+      SHALE_TRY(outputs, interpret(graph_, std::vector{input}));
+    } else {
+      for (const Resource* resource : resources) {
+        SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));
+        outputs.push_back(std::move(tensor));
+      }
+    }
+    return outputs_of(resources, std::move(outputs));
+  });
+}
+
+}  // namespace shale
