@@ -13,9 +13,10 @@ namespace {
 constexpr size_t kHeaderWords = 5;
 constexpr size_t kColumns = 8;  ///< of a kind, at most
 constexpr size_t kMaxVarint = 5;
-/// A word takes a varint, and so does the kind of an instruction; what describes a kind is paid for by its first instruction, of a
-/// word and up to kColumns operands, each of a varint for its column's length and a byte.
-constexpr uint64_t kMaxBodyBytesPerWord = 3 * kMaxVarint + 1;
+constexpr size_t kMaxKinds =
+    4096;  ///< more than there are opcodes of different lengths in any shader
+/// A body that is longer than its words is no gain.
+constexpr uint64_t kMaxBodyBytesPerWord = sizeof(uint32_t);
 
 /// What a column's words are stored as.
 enum class Prediction : uint8_t {
@@ -157,7 +158,9 @@ std::optional<std::vector<uint32_t>> words_of(std::span<const uint8_t> body, uin
   Reader reader(body);
   std::vector<Kind> kinds;
   std::vector<StoredColumn> columns;
-  for (uint32_t left = reader.varint(); left > 0 && !reader.damaged(); --left) {
+  const uint32_t kind_count = reader.varint();
+  if (kind_count > kMaxKinds) return std::nullopt;
+  for (uint32_t left = kind_count; left > 0 && !reader.damaged(); --left) {
     const Kind kind{reader.varint(), columns.size()};
     if (kind.first_word >> 16 == 0) return std::nullopt;
     for (size_t i = 0; i < columns_of(kind.first_word); ++i) {
@@ -213,6 +216,7 @@ std::optional<std::vector<uint8_t>> pack_module(std::span<const uint32_t> words)
     if (is_new) {
       kinds.push_back({words[at], columns.size()});
       columns.resize(columns.size() + columns_of(words[at]));
+      if (kinds.size() > kMaxKinds) return std::nullopt;
     }
     put(numbers, found->second);
     anchor.begin();
@@ -249,6 +253,7 @@ std::optional<std::vector<uint8_t>> pack_module(std::span<const uint32_t> words)
   for (size_t i = 0; i < kHeaderWords; ++i) put(body, words[i]);
   body.insert(body.end(), numbers.begin(), numbers.end());
   body.insert(body.end(), stored.begin(), stored.end());
+  if (body.size() > kMaxBodyBytesPerWord * words.size()) return std::nullopt;
 
   std::vector<uint8_t> packed;
   put(packed, static_cast<uint32_t>(body.size()));

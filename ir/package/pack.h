@@ -25,13 +25,14 @@
 namespace shale {
 
 /// At most so many bytes of words come from one packed byte, so that a small file asks for little memory.
-inline constexpr uint64_t kMaxPacking = 256;
+inline constexpr uint64_t kMaxPacking = 64;
 
-/// The packed form of a module; nothing where the words are no instructions, or where it would not be smaller or would be smaller by
-/// more than kMaxPacking. Same words, same bytes, with the same release of zlib.
+/// The packed form of a module; nothing where the words are no instructions, or are of too many kinds, or where it would not be
+/// smaller or would be smaller by more than kMaxPacking. Same words, same bytes, with the same release of zlib.
 std::optional<std::vector<uint8_t>> pack_module(std::span<const uint32_t> words);
 
-/// The `word_count` words that were packed. Memory is bounded by kMaxPacking times the length of `packed`, whatever its bytes are.
+/// The `word_count` words that were packed. Memory is bounded by twice kMaxPacking times the length of `packed` and a
+/// megabyte, whatever its bytes are.
 /// Errors: kBadInput at `where` if the bytes are damaged or make another number of words.
 Result<std::vector<uint32_t>> unpack_module(std::span<const uint8_t> packed, uint32_t word_count,
                                             const std::string& where);

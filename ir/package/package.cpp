@@ -368,7 +368,9 @@ Variant read_variant(Copier& copy, const fbs::Variant& v) {
   return variant;
 }
 
-Result<void> unpack_modules(const fbs::Variant& v, size_t index, Variant& variant) {
+/// `total`: bytes of what was unpacked before, and of this, too, afterwards.
+Result<void> unpack_modules(const fbs::Variant& v, size_t index, Variant& variant,
+                            uint64_t& total) {
   for (uint32_t i = 0; i < v.modules()->size(); ++i) {
     const fbs::Module& module = *v.modules()->Get(i);
     if (!module.packed()) continue;
@@ -376,6 +378,10 @@ Result<void> unpack_modules(const fbs::Variant& v, size_t index, Variant& varian
     if (module.words()->size() != 0)
       return bad_input(where, "has {} words beside packed ones, 0 are expected",
                        module.words()->size());
+    total += uint64_t{module.word_count()} * sizeof(uint32_t);
+    if (total > kMaxPackageBytes)
+      return bad_input(where, "the package's modules have {} bytes, at most {} are expected", total,
+                       kMaxPackageBytes);
     SHALE_TRY(variant.modules[i], unpack_module({module.packed()->data(), module.packed()->size()},
                                                 module.word_count(), where));
   }
@@ -436,8 +442,9 @@ Result<Package> read_aligned(std::span<const uint8_t> bytes) {
   package.weights = copy.scalars(root.weights());
   package.variants = copy.tables(root.variants(), read_variant);
   if (copy.overdrawn()) return bad_input("", "the package is damaged: parts of it overlap");
+  uint64_t unpacked = 0;
   for (uint32_t i = 0; i < package.variants.size(); ++i)
-    SHALE_TRY_VOID(unpack_modules(*root.variants()->Get(i), i, package.variants[i]));
+    SHALE_TRY_VOID(unpack_modules(*root.variants()->Get(i), i, package.variants[i], unpacked));
   if (version.minor_version() < 4) std::ranges::for_each(package.variants, complete_old);
   SHALE_TRY_VOID(check_package(package));
   return package;

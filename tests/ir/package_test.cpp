@@ -9,6 +9,7 @@
 #include <random>
 
 #include "ir/base/file.h"
+#include "ir/package/pack.h"
 #include "ir/schema/package_generated.h"
 
 namespace shale {
@@ -323,10 +324,15 @@ TEST(Package, PacksModules) {
   EXPECT_EQ(refusal(bytes), fmt::format("variant 0, module 1: the packed module is damaged: its "
                                         "columns do not make {} words",
                                         count + 1));
+  const auto most = static_cast<uint32_t>(module->packed()->size() * kMaxPacking / 4);
+  ASSERT_TRUE(table->SetField<uint32_t>(fbs::Module::VT_WORD_COUNT, most + 1, 0));
+  EXPECT_EQ(refusal(bytes), fmt::format("variant 0, module 1: {} packed bytes cannot hold {} "
+                                        "words: 5 to {} are expected",
+                                        module->packed()->size(), most + 1, most));
   ASSERT_TRUE(table->SetField<uint32_t>(fbs::Module::VT_WORD_COUNT, UINT32_MAX, 0));
-  EXPECT_EQ(refusal(bytes), fmt::format("variant 0, module 1: {} packed bytes cannot hold "
-                                        "4294967295 words: 5 to {} are expected",
-                                        module->packed()->size(), module->packed()->size() * 64));
+  EXPECT_EQ(refusal(bytes),
+            "variant 0, module 1: the package's modules have 17179869180 bytes, at most "
+            "2147483640 are expected");
   ASSERT_TRUE(table->SetField<uint32_t>(fbs::Module::VT_WORD_COUNT, count, 0));
   auto* packed = const_cast<uint8_t*>(module->packed()->data());
   packed[module->packed()->size() / 2] ^= 0xff;
