@@ -216,11 +216,12 @@ class Settling {
       // A part of a pixel's place in the invocation must be whole.
       if (!image || !way.over || way.over->of_output != image->size.of_output ||
           way.over->divide[0] % image->size.divide[0] != 0 ||
-          way.over->divide[1] % image->size.divide[1] != 0)
+          way.over->divide[1] % image->size.divide[1] != 0) {
         way.by_grid = false;
-      else
-        way.copied.push_back(image),
-            way.makes_shown = way.makes_shown || image->name == options_.frame.settles->image;
+      } else {
+        way.copied.push_back(image);
+        way.makes_shown = way.makes_shown || image->name == options_.frame.settles->image;
+      }
       if (image) way.ring = std::max(way.ring, image->history_depth);
       for (const FrameImage& shows : options_.frame.images)
         way.is_shown = way.is_shown || (!is_linear_ && shows.shows == image->name);

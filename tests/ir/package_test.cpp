@@ -277,29 +277,34 @@ TEST(Package, AcceptsNewerMinorVersions) {
   EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}), "the package has no variant");
 }
 
-TEST(Package, RefusesPartsThatOverlap) {
-  // Every module leads to the same words: verified, but copying would multiply the file.
-  flatbuffers::FlatBufferBuilder builder;
-  builder.Align(8);
+/// What the reader says of a package that nobody wrote: a variant of these modules, `count` times the same one.
+std::string refusal_of(flatbuffers::FlatBufferBuilder& builder,
+                       const std::vector<flatbuffers::Offset<fbs::Module>>& modules, size_t count) {
   const auto text = builder.CreateString("x");
-  Spirv words(1000, 0);
-  words[0] = 0x07230203;
-  const auto module = fbs::CreateModule(builder, builder.CreateVector(words));
-  const auto modules =
-      builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Module>>(1000, module));
+  const auto all = builder.CreateVector(modules);
   const auto resources = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Resource>>());
   const auto segments = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Segment>>());
   const auto proofs = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::RangeProof>>());
   const auto variant = fbs::CreateVariant(builder, text, fbs::CreateRequirements(builder), 0,
-                                          resources, segments, modules, proofs);
+                                          resources, segments, all, proofs);
   const auto variants =
-      builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Variant>>(100, variant));
+      builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Variant>>(count, variant));
   const auto weights = builder.CreateVector(std::vector<uint8_t>());
   fbs::FinishPackageBuffer(
       builder,
       fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
                          fbs::CreateProvenance(builder, 0, text, text, text), variants, weights));
-  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
+  return refusal({builder.GetBufferPointer(), builder.GetSize()});
+}
+
+TEST(Package, RefusesPartsThatOverlap) {
+  // Every module leads to the same words: verified, but copying would multiply the file.
+  flatbuffers::FlatBufferBuilder builder;
+  builder.Align(8);
+  Spirv words(1000, 0);
+  words[0] = 0x07230203;
+  const auto module = fbs::CreateModule(builder, builder.CreateVector(words));
+  EXPECT_EQ(refusal_of(builder, std::vector(1000, module), 100),
             "the package is damaged: parts of it overlap");
 }
 
@@ -342,22 +347,9 @@ TEST(Package, PacksModules) {
 TEST(Package, RefusesWordsBesidePackedOnes) {
   flatbuffers::FlatBufferBuilder builder;
   builder.Align(8);
-  const auto text = builder.CreateString("x");
   const auto words = builder.CreateVector(Spirv{0x07230203, 0, 0, 0, 0});
   const auto packed = builder.CreateVector(std::vector<uint8_t>(8, 1));
-  const auto modules =
-      builder.CreateVector(std::vector{fbs::CreateModule(builder, words, packed, 5)});
-  const auto resources = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Resource>>());
-  const auto segments = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::Segment>>());
-  const auto proofs = builder.CreateVector(std::vector<flatbuffers::Offset<fbs::RangeProof>>());
-  const auto variants = builder.CreateVector(std::vector{fbs::CreateVariant(
-      builder, text, fbs::CreateRequirements(builder), 0, resources, segments, modules, proofs)});
-  const auto weights = builder.CreateVector(std::vector<uint8_t>());
-  fbs::FinishPackageBuffer(
-      builder,
-      fbs::CreatePackage(builder, kPackageMajor, kPackageMinor,
-                         fbs::CreateProvenance(builder, 0, text, text, text), variants, weights));
-  EXPECT_EQ(refusal({builder.GetBufferPointer(), builder.GetSize()}),
+  EXPECT_EQ(refusal_of(builder, {fbs::CreateModule(builder, words, packed, 5)}, 1),
             "variant 0, module 0: has 5 words beside packed ones, 0 are expected");
 }
 

@@ -195,6 +195,20 @@ OpFunctionEnd
 
 class ShaderLayerTest : public LayerTest {
  protected:
+  /// Four elements each, 1 to 4 and 101 to 104, that shaders may access.
+  void make_rows(ClientTensor (&tensors)[2]) {
+    const int64_t dims[] = {4};
+    client.more_usage = VK_TENSOR_USAGE_SHADER_BIT_ARM;
+    for (ClientTensor& tensor : tensors) {
+      ASSERT_EQ(client_create_tensor(&client, VK_FORMAT_R16_SINT, VK_TENSOR_TILING_LINEAR_ARM, 1,
+                                     dims, nullptr, &tensor),
+                VK_SUCCESS);
+      for (int i = 0; i < 4; ++i)
+        static_cast<int16_t*>(tensor.mapped)[i] =
+            static_cast<int16_t>(100 * (&tensor - tensors) + i + 1);
+    }
+  }
+
   struct Pipeline {
     VkDescriptorSetLayout set_layout;
     VkPipelineLayout layout;
@@ -365,17 +379,8 @@ TEST_F(ShaderLayerTest, ReadsAndWritesWithinTheTensor) {
 }
 
 TEST_F(ShaderLayerTest, ReadsAndWritesRowsOfArraysOfTensors) {
-  const int64_t dims[] = {4};
-  client.more_usage = VK_TENSOR_USAGE_SHADER_BIT_ARM;
   ClientTensor tensors[2];
-  for (ClientTensor& tensor : tensors) {
-    ASSERT_EQ(client_create_tensor(&client, VK_FORMAT_R16_SINT, VK_TENSOR_TILING_LINEAR_ARM, 1,
-                                   dims, nullptr, &tensor),
-              VK_SUCCESS);
-    for (int i = 0; i < 4; ++i)
-      static_cast<int16_t*>(tensor.mapped)[i] =
-          static_cast<int16_t>(100 * (&tensor - tensors) + i + 1);
-  }
+  ASSERT_NO_FATAL_FAILURE(make_rows(tensors));
   const Pipeline pipeline = make(kArrays, 1, 2);
   write(pipeline, {tensors[0].view, tensors[1].view});
   run(pipeline, 1, 1, 2);
@@ -484,17 +489,8 @@ TEST_F(ShaderLayerTest, TakesDescriptorsWrittenAfterBindingByIndicesThatDiffer) 
   replace("%p = OpAccessChain %pt %a %z\n",
           "%index = OpIAdd %uint %z %z\n%p = OpAccessChain %pt %a %index\n");
 
-  const int64_t dims[] = {4};
-  client.more_usage = VK_TENSOR_USAGE_SHADER_BIT_ARM;
   ClientTensor tensors[2];
-  for (ClientTensor& tensor : tensors) {
-    ASSERT_EQ(client_create_tensor(&client, VK_FORMAT_R16_SINT, VK_TENSOR_TILING_LINEAR_ARM, 1,
-                                   dims, nullptr, &tensor),
-              VK_SUCCESS);
-    for (int i = 0; i < 4; ++i)
-      static_cast<int16_t*>(tensor.mapped)[i] =
-          static_cast<int16_t>(100 * (&tensor - tensors) + i + 1);
-  }
+  ASSERT_NO_FATAL_FAILURE(make_rows(tensors));
   const Pipeline pipeline = make(text.c_str(), 1, 8, false, 3);
   run(pipeline, 1, 1, 1, [&] {
     write(pipeline, {tensors[0].view});

@@ -205,7 +205,8 @@ Result<Json> kept(const Arguments& arguments, const Json& key, const Make& make)
   if (!arguments.fresh && fs::exists(file, ignored)) {
     SHALE_TRY(const std::string text, read_text(file));
     const Json held = Json::parse(text, nullptr, false);
-    if (held.is_object() && held.value("key", Json()) == key && !held["result"].is_null())
+    if (held.is_object() && held.value("key", Json()) == key &&
+        held.value("result", Json()).is_object())
       return held["result"];
   }
   SHALE_TRY(Json cell, make());
