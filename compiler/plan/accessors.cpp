@@ -36,7 +36,7 @@ struct TexelType {
   const char* to_words;    ///< the words of a stored texel
 };
 
-constexpr std::array<TexelType, 9> kTexelTypes{{
+constexpr std::array<TexelType, 10> kTexelTypes{{
     {ImageFormat::kRgba16Float, "HALF4", "HALF4", "half4_of_image({0})", "image_of_half4({0})",
      "{0}", "pair({0}.x, {0}.y)"},
     {ImageFormat::kRg16Float, "HALF2", "HALF2", "half2_of_image({0}.rg)", "image_of_half2({0})",
@@ -53,6 +53,9 @@ constexpr std::array<TexelType, 9> kTexelTypes{{
      "vec2({0} & 255u, {0} >> 8 & 255u) * (1.0 / 255.0)", nullptr},
     {ImageFormat::kR8Unorm, "float", "float", "{0}.r", "vec4({0})", nullptr, nullptr},
     {ImageFormat::kR16Float, "float", "float", "{0}.r", "vec4({0})", nullptr, nullptr},
+    // In place of rgba16_float where a frame is made wide (SHALE_WIDE).
+    {ImageFormat::kRgba32Float, "HALF4", "HALF4", "half4_of_image({0})", "image_of_half4({0})",
+     nullptr, nullptr},
 }};
 
 std::string of(const char* form, const std::string& texel) {
@@ -140,7 +143,8 @@ class Writer {
   /// Bilinear from four fetches.
   void sample_by_fetches() {
     const std::string size = fmt::format("ivec2({}, {})", a_.resource->width, a_.resource->height);
-    const bool is_half4 = a_.resource->format == ImageFormat::kRgba16Float;
+    const bool is_half4 = a_.resource->format == ImageFormat::kRgba16Float ||
+                          a_.resource->format == ImageFormat::kRgba32Float;
     if (is_half4 && a_.is_linear) {  // weighed when the numbers are asked for
       function(
           fmt::format("SAMPLED_HALF4 sample_{}(vec2 uv)", a_.handle),

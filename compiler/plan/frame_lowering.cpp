@@ -209,11 +209,14 @@ bool fits_buffer(const Resource& image, const DeviceProfile& profile) {
 
 /// Texels lie in buffers where kernels run on a CPU and the largest image fits one.
 bool prefers_buffers(const Variant& variant, const DeviceProfile& profile) {
-  return profile.literal_weights && std::all_of(variant.resources.begin(), variant.resources.end(),
-                                                [&](const Resource& resource) {
-                                                  return !is_image(resource.category) ||
-                                                         fits_buffer(resource, profile);
-                                                });
+  return profile.literal_weights &&
+         std::all_of(variant.resources.begin(), variant.resources.end(),
+                     [&](const Resource& resource) {
+                       // Colours of 32 bits have no form in buffers, and share a type with others.
+                       return !is_image(resource.category) ||
+                              (fits_buffer(resource, profile) &&
+                               resource.format != ImageFormat::kRgba32Float);
+                     });
 }
 
 Places choose_places(Plan& plan, const std::vector<UsedPass>& passes, bool is_linear) {

@@ -15,7 +15,8 @@
 //   store_word_X(i, w), store_words2_X(i, a, b), store_element_X(i, v): words i; 2 * i and 2 * i + 1; element i
 //
 // rgba16_float is HALF4 (made by half4, of a colour in [0, 65504]), rg16_float HALF2 (half2), rgba8_snorm SNORM4 to read and
-// a word (snorm_word) to store; the others are floats, vectors of them, or uint.
+// a word (snorm_word) to store; the others are floats, vectors of them, or uint. With SHALE_WIDE, for what rounding costs
+// (`shale stress --reference wide`), rgba32_float stands in its place, and half4 does not round.
 #ifndef SHALE_ACCESS_GLSL
 #define SHALE_ACCESS_GLSL
 #extension GL_EXT_control_flow_attributes : require
@@ -93,10 +94,14 @@ vec3 rgb_of(SAMPLED_HALF4 s) {
 vec3 rgb_of(HALF4 texel) { return texel.rgb; }
 vec2 xy_of(HALF2 texel) { return texel; }
 vec4 snorm_of(SNORM4 texel) { return texel; }
+#if SHALE_WIDE
+HALF4 half4(vec3 c) { return vec4(c, 1.0); }
+#else
 HALF4 half4(vec3 c) {
   const uvec3 h = half_bits(c);
   return vec4(unpackHalf2x16(h.r | h.g << 16), unpackHalf2x16(h.b).x, 1.0);
 }
+#endif
 HALF2 half2(vec2 v) { return unpackHalf2x16(packHalf2x16(v)); }  // rounded here: stores may cut off
 vec4 image_of_half4(HALF4 texel) { return texel; }
 vec4 image_of_half2(HALF2 texel) { return vec4(texel, 0.0, 0.0); }

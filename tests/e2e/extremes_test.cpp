@@ -2,8 +2,11 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <nlohmann/json.hpp>
 
 #include "tests/e2e/sandwich_support.h"
+#include "tools/eval/tonemap.h"
+#include "tools/shale/stress_frames.h"
 
 namespace shale {
 namespace {
@@ -65,6 +68,63 @@ TEST_F(Extremes, WhiteCodesOfANetworkAreNoLight) {
     ASSERT_TRUE(all_finite(shown));
     EXPECT_LE(largest(shown), 7.5 * (1 + std::exp2(-10) / 0.12)) << "frame " << t;
     EXPECT_GE(largest(shown), 7) << "frame " << t;
+  }
+}
+
+/// What a display shows of the frames, one after the other, from a start without a past.
+std::vector<float> shown_of(Player& player, std::span<const SourceFrame> frames) {
+  std::vector<float> values;
+  for (const SourceFrame& frame : frames) {
+    const FloatImage picture = must(player.play(frame));
+    EXPECT_TRUE(all_finite(picture));
+    const FloatImage shown =
+        player.is_display() ? picture : display_image(picture, frame.camera.exposure);
+    values.insert(values.end(), shown.values.begin(), shown.values.end());
+  }
+  return values;
+}
+
+double psnr(std::span<const float> a, std::span<const float> b) {
+  double squares = 0;
+  for (size_t i = 0; i < a.size(); ++i) {
+    const double d = static_cast<double>(a[i] - b[i]);
+    squares += d * d;
+  }
+  return -10 * std::log10(squares / static_cast<double>(a.size()));
+}
+
+TEST_F(Extremes, Int8PartsFromFloatsAsFarAsTheSearchFoundAndStaysExact) {
+  // What `shale stress MODEL --render 16x16 --search 400 --seed 7` found: blocks of light, over frames of its course.
+  for (const char* name : {"nss_v1_low", "srpo_x2"}) {
+    SCOPED_TRACE(name);
+    const auto find = nlohmann::json::parse(
+        must(read_text(source_folder() + "/tests/e2e/finds/" + name + ".json")));
+    CompileArguments compile;
+    compile.render = "16x16";
+    compile.kernels = {"generic"};
+    const Sandwich int8 = must(load_sandwich(models() + name, compile, {}, {}));
+    const auto quantized = must(Player::create(*device_, int8.package));
+    compile.precision = "fp32";
+    const auto real = must(
+        Player::create(*device_, must(load_sandwich(models() + name, compile, {}, {})).package));
+    const StressFrames course(quantized->render_size(), quantized->output_size(), int8.pattern,
+                              quantized->is_display());
+    std::vector<SourceFrame> frames;
+    for (uint32_t i = 0; i < 3; ++i) frames.push_back(course.frame(Course::kMoving, i));
+    const auto parted = [&] {
+      quantized->reset();
+      real->reset();
+      return psnr(shown_of(*quantized, frames), shown_of(*real, frames));
+    };
+    // Other drivers round floats otherwise.
+    EXPECT_NEAR(parted(), find["start_psnr_db"].get<double>(), 1);
+    for (const auto& step : find["relights"]) {
+      Relight relight{.x = step["x"], .y = step["y"], .stops = step["stops"]};
+      if (!step["frame"].is_null()) relight.frame = step["frame"];
+      relight.apply(frames, quantized->is_display());
+    }
+    EXPECT_NEAR(parted(), find["psnr_db"].get<double>(), 1);
+    EXPECT_EQ(must(network_difference(*quantized, int8.graphs)), std::nullopt);
   }
 }
 

@@ -137,6 +137,16 @@ TEST_F(Cli, StressSaysOfEachExtremeWhetherItHolds) {
   EXPECT_EQ(colours["hold"], colours["verdicts"]);
   EXPECT_TRUE(colours["courses"].empty());
 
+  // Rounding to half floats is what parts it from the same pass on 32 bits: 2^-11 of a colour, less than a code.
+  const auto wide = nlohmann::json::parse(
+      shale("stress " + lanczos + " --only colour --reference wide --json").text);
+  bool departs = false;
+  for (const auto& row : wide["faults"]) {
+    EXPECT_LT(row["reference_largest_codes"], 1.5) << row["fault"];  // of two pictures in codes
+    departs |= row["reference_mean_codes"] > 0;
+  }
+  EXPECT_TRUE(departs);
+
   EXPECT_EQ(shale("stress " + lanczos + " --only lights").exit, 2);
   const Outcome network = shale("stress " + file("small.tir"));
   EXPECT_EQ(network.exit, 1);

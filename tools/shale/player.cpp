@@ -164,12 +164,14 @@ Result<std::pair<Extent, Extent>> sandwich_sizes(const Variant& variant) {
 }
 
 Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& arguments,
-                               std::optional<Extent> render, std::optional<Extent> output) {
+                               std::optional<Extent> render, std::optional<Extent> output,
+                               Result<Frame> (*change)(Frame frame)) {
   Sandwich sandwich;
   std::error_code ignored;
   if (!std::filesystem::is_directory(path, ignored)) {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
     if (is_package(bytes)) {
+      if (change) return unsupported(path, "a package does not say what its passes are");
       Result<Package> package = read_package(bytes);
       if (!package) return in_file(path, package.error());
       sandwich.name = std::filesystem::path(path).stem().string();
@@ -177,9 +179,12 @@ Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& 
       return sandwich;
     }
   }
-  SHALE_TRY(const ModelFiles model, load_model(path, arguments.frame, arguments.precision));
+  SHALE_TRY(ModelFiles model, load_model(path, arguments.frame, arguments.precision));
   if (!model.frame)
     return bad_input(model.path, "has no sandwich; name its frame.json with --frame");
+  if (change) {
+    SHALE_TRY(model.frame, change(*std::move(model.frame)));
+  }
   SHALE_TRY(CompileOptions options, arguments.options(model));
   const auto take = [](std::optional<FrameExtent>& size, std::optional<Extent> from) {
     if (!size && from) size = FrameExtent{from->width, from->height};

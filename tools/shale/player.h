@@ -38,10 +38,13 @@ struct Sandwich {
 /// Errors: kBadInput if the variant has no such images.
 Result<std::pair<Extent, Extent>> sandwich_sizes(const Variant& variant);
 
-/// Takes a package as it is, or compiles a model for the sizes, where they are given.
-/// Errors: kBadInput, naming the file, if there is no sandwich; those of compiling.
+/// Takes a package as it is, or compiles a model for the sizes, where they are given; with another frame in place of the
+/// model's where `change` makes one of it.
+/// Errors: kBadInput, naming the file, if there is no sandwich; those of compiling and of `change`; kUnsupported for a
+/// package that is to be changed.
 Result<Sandwich> load_sandwich(const std::string& path, const CompileArguments& arguments,
-                               std::optional<Extent> render, std::optional<Extent> output);
+                               std::optional<Extent> render, std::optional<Extent> output,
+                               Result<Frame> (*change)(Frame frame) = nullptr);
 
 /// Whether a program runs a network.
 bool has_network(const Variant& variant, uint32_t program);

@@ -198,12 +198,15 @@ class Subject {
     SHALE_TRY(Sandwich sandwich, load_sandwich(arguments.model, compile, {}, output));
     Subject subject;
     SHALE_TRY(subject.player_, Player::create(device, sandwich.package));
-    if (Result<StressReference> reference = StressReference::create(
-            sandwich, *subject.player_, compile.tiles.value_or(0) > 0,
-            arguments.reference == "exact" ? nss_v1::Rounding::kNone : nss_v1::Rounding::kAsStored))
+    if (output)
+      subject.why_no_reference_ = "no reference: it is compared with another precision";
+    else if (Result<StressReference> reference =
+                 create_reference(arguments, device, compile, sandwich, *subject.player_))
       subject.reference_ = *std::move(reference);
-    else
+    else if (reference.error().code == ErrorCode::kUnsupported)
       subject.why_no_reference_ = reference.error().text();
+    else
+      return reference.error();
     subject.graphs_ = std::move(sandwich.graphs);
     subject.pattern_ = sandwich.pattern;
     return subject;
@@ -278,6 +281,22 @@ class Subject {
   }
 
  private:
+  static Result<StressReference> create_reference(const Arguments& arguments,
+                                                  const ToolDevice& device,
+                                                  CompileArguments compile,
+                                                  const Sandwich& sandwich, const Player& player) {
+    const bool has_tolerance = compile.tiles.value_or(0) > 0;
+    if (arguments.reference != "wide")
+      return StressReference::create(
+          sandwich, player, has_tolerance,
+          arguments.reference == "exact" ? nss_v1::Rounding::kNone : nss_v1::Rounding::kAsStored);
+    if (has_tolerance) compile.tiles.reset();
+    SHALE_TRY(const Sandwich wide, load_sandwich(arguments.model, compile, player.render_size(),
+                                                 player.output_size(), wide_frame));
+    SHALE_TRY(std::unique_ptr<Player> beside, Player::create(device, wide.package));
+    return StressReference(std::move(beside));
+  }
+
   std::unique_ptr<Player> player_;
   std::vector<Graph> graphs_;
   SamplingPattern pattern_;
@@ -300,8 +319,7 @@ class ReferenceDeparture {
     row["reference_largest_codes"] = frames_ > 0 ? Json(largest_) : Json();
     row["reference_mean_codes"] = frames_ > 0 ? Json(mean()) : Json();
     if (mean() > kReferenceCodes)
-      broken.push_back(
-          fmt::format("{:.2f} codes in the mean from the model in double precision", mean()));
+      broken.push_back(fmt::format("{:.2f} codes in the mean from the model", mean()));
   }
 
  private:
@@ -594,38 +612,37 @@ Json departure_json(const std::string& precision, const Departure& d) {
 /// Inputs that part two precisions most: blocks of a few frames are made brighter or darker, and what
 /// parts them more is kept. Seeded, so a find can be made again.
 Result<Json> search(const Arguments& arguments, Subject& int8, Subject& fp32, Progress& progress) {
-  constexpr uint32_t kFrames = 3, kBlock = 8;
+  constexpr uint32_t kFrames = 3;
   const StressFrames source = int8.frames();
+  const Extent size = int8.player().render_size();
   std::vector<SourceFrame> frames;
   for (uint32_t i = 0; i < kFrames; ++i) frames.push_back(source.frame(Course::kMoving, i));
   SHALE_TRY(Departure best, departure(int8, fp32, frames));
   const double start = best.psnr_db;
   std::mt19937_64 random(arguments.seed);
   const auto below = [&](uint32_t n) { return static_cast<uint32_t>(random() % n); };
-  uint32_t kept = 0;
+  Json relights = Json::array();
   for (uint32_t step = 0; step < arguments.search; ++step) {
     if (!progress.step(step, arguments.search)) return bad_input("", "interrupted");
+    Relight relight{.x = below(size.width), .y = below(size.height)};
+    if (const uint32_t of = below(kFrames + 1); of < kFrames) relight.frame = of;
+    relight.stops = static_cast<int>(below(13)) - 6;
     std::vector<SourceFrame> next = frames;
-    const Extent size = int8.player().render_size();
-    const uint32_t x0 = below(size.width), y0 = below(size.height), of = below(kFrames + 1);
-    const float factor = std::exp2(static_cast<float>(below(13)) - 6);
-    for (uint32_t i = 0; i < kFrames; ++i)
-      for (uint32_t y = y0; (of == kFrames || of == i) && y < std::min(size.height, y0 + kBlock);
-           ++y)
-        for (uint32_t x = x0; x < std::min(size.width, x0 + kBlock); ++x)
-          for (int c = 0; c < 3; ++c) {
-            float& value = next[i].color.at(x, y)[c];
-            value = std::min(value * factor, int8.display() ? 1.0f : kLargestHalf);
-          }
+    relight.apply(next, int8.display());
     SHALE_TRY(const Departure now, departure(int8, fp32, next));
     if (now.psnr_db >= best.psnr_db) continue;
     best = now;
     frames = std::move(next);
-    ++kept;
+    const bool all = relight.frame == Relight::kAllFrames;
+    relights.push_back({{"x", relight.x},
+                        {"y", relight.y},
+                        {"frame", all ? Json() : Json(relight.frame)},
+                        {"stops", relight.stops}});
   }
   Json json = departure_json("int8", best);
   json.update({{"steps", arguments.search},
-               {"kept", kept},
+               {"kept", relights.size()},
+               {"relights", std::move(relights)},
                {"seed", arguments.seed},
                {"start_psnr_db", start}});
   return json;
@@ -705,6 +722,10 @@ void print(const Json& json) {
 /// What the model is, or why there is none.
 std::string reference_text(const Arguments& arguments, const Subject& subject) {
   if (!subject.why_no_reference().empty()) return subject.why_no_reference();
+  if (arguments.reference == "wide")
+    return "of model: largest and mean difference in display codes from the same sandwich with "
+           "32-bit "
+           "floats in all its images of half floats";
   return fmt::format(
       "of model: largest and mean difference in display codes from the passes of NSS v1 in double "
       "precision, which round {}; the network by the exact interpreter at faults, as the device "
@@ -816,10 +837,12 @@ Action add_stress(CLI::App& app) {
   app.add_option("--frames", arguments->frames,
                  "frames of each course over time; whole cycles, four at least")
       ->check(CLI::Range(1, 10000000));
-  app.add_option("--reference", arguments->reference,
-                 "model in double precision beside NSS v1 up to 32x18: \"stored\" rounds where the "
-                 "shaders store, \"exact\" nothing but the network's inputs")
-      ->check(CLI::IsMember({"stored", "exact"}));
+  app.add_option(
+         "--reference", arguments->reference,
+         "what runs beside it: the passes of NSS v1 in double precision, up to 32x18, rounded "
+         "where the shaders store (\"stored\") or at the network's inputs alone (\"exact\"); "
+         "or any sandwich with 32-bit floats in place of half floats (\"wide\")")
+      ->check(CLI::IsMember({"stored", "exact", "wide"}));
   app.add_flag("--precisions", arguments->precisions,
                "also int8, int16 and fp16 against fp32 on the same frames");
   app.add_option("--search", arguments->search,

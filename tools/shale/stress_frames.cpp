@@ -130,6 +130,19 @@ std::string_view course_name(Course course) {
 
 std::span<const Fault> faults() { return kFaults; }
 
+void Relight::apply(std::span<SourceFrame> frames, bool display) const {
+  for (uint32_t i = 0; i < frames.size(); ++i) {
+    FloatImage& color = frames[i].color;
+    for (uint32_t row = y;
+         (frame == kAllFrames || frame == i) && row < std::min(color.height, y + kBlock); ++row)
+      for (uint32_t column = x; column < std::min(color.width, x + kBlock); ++column)
+        for (int c = 0; c < 3; ++c) {
+          float& value = color.at(column, row)[c];
+          value = std::min(std::ldexp(value, stops), display ? 1.0f : kLargestHalf);
+        }
+  }
+}
+
 std::array<uint32_t, 2> spoilt_texel(Extent render) {
   return {render.width / 2, render.height / 2};
 }

@@ -49,6 +49,17 @@ struct Fault {
 };
 std::span<const Fault> faults();
 
+/// A step of the search for inputs that part two precisions: the light of a block of texels, of one frame or of all.
+struct Relight {
+  static constexpr uint32_t kBlock = 8;  ///< texels per axis; cut at the border
+  static constexpr uint32_t kAllFrames = UINT32_MAX;
+  uint32_t x = 0, y = 0;  ///< first texel
+  uint32_t frame = kAllFrames;
+  int stops = 0;  ///< times 2^stops, at most the largest half, or 1 with `display`
+
+  void apply(std::span<SourceFrame> frames, bool display) const;
+};
+
 /// The texel that the fault "one texel" spoils.
 std::array<uint32_t, 2> spoilt_texel(Extent render);
 

@@ -22,6 +22,26 @@ Result<std::pair<Tensor, Tensor>> outputs_of(const std::vector<const Resource*>&
 
 }  // namespace
 
+Result<Frame> wide_frame(Frame frame) {
+  frame.settles.reset();
+  bool changed = false;
+  for (FrameImage& image : frame.images) {
+    if (image.category == Category::kImageInput) continue;
+    const ImageFormat narrow = image.format;
+    if (narrow == ImageFormat::kRgba16Float) image.format = ImageFormat::kRgba32Float;
+    if (narrow == ImageFormat::kR16Float) image.format = ImageFormat::kR32Float;
+    changed |= image.format != narrow;
+  }
+  if (!changed)
+    return unsupported("", "no reference: no image that passes write has half floats to widen");
+  for (FrameProgram& program : frame.programs)
+    for (FramePass& pass : program.passes) {
+      if (!pass.shader.empty()) pass.defines.emplace_back("SHALE_WIDE", "1");
+      pass.bounds.clear();  // of what half floats hold
+    }
+  return frame;
+}
+
 Result<StressReference> StressReference::create(const Sandwich& sandwich, const Player& player,
                                                 bool has_tolerance, nss_v1::Rounding rounding) {
   if (!sandwich.frame)
@@ -36,16 +56,24 @@ Result<StressReference> StressReference::create(const Sandwich& sandwich, const 
     return unsupported(
         "", "no reference beyond {} render pixels, such as --render 32x18: it takes long",
         kMostPixels);
-  return StressReference(sandwich.graphs[0], form, rounding);
+  return StressReference(Model{sandwich.graphs[0], nss_v1::Model(form, rounding)});
+}
+
+void StressReference::reset() {
+  if (wide_)
+    wide_->reset();
+  else
+    model_->passes.reset();
 }
 
 Result<FloatImage> StressReference::play(const SourceFrame& frame, const Player& player,
                                          bool of_device) {
+  if (wide_) return wide_->play(frame);
   const std::vector<const Resource*> resources = tensors_of(player.variant(), Category::kOutput);
-  return model_.play(frame, [&](const Tensor& input) -> Result<std::pair<Tensor, Tensor>> {
+  return model_->passes.play(frame, [&](const Tensor& input) -> Result<std::pair<Tensor, Tensor>> {
     std::vector<Tensor> outputs;
     if (!of_device) {
-      SHALE_TRY(outputs, interpret(graph_, std::vector{input}));
+      SHALE_TRY(outputs, interpret(model_->graph, std::vector{input}));
     } else {
       for (const Resource* resource : resources) {
         SHALE_TRY(Tensor tensor, player.read_tensor(resource->name));

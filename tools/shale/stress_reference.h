@@ -1,6 +1,8 @@
-// tools/shale/stress_reference.h -- a model in double precision beside a sandwich on a device, frame by frame.
+// tools/shale/stress_reference.h -- beside a sandwich on a device, frame by frame, what it would be with less rounding.
 #pragma once
 
+#include <memory>
+#include <optional>
 #include <string>
 
 #include "tools/reference/nss_v1.h"
@@ -8,28 +10,37 @@
 
 namespace shale {
 
+/// The frame with 32-bit floats in place of half floats in all images that passes write. Tiles never rest there: what is held at
+/// rest is a half float.
+/// Errors: kUnsupported if no pass writes half floats, so that it would be the same frame.
+Result<Frame> wide_frame(Frame frame);
+
 class StressReference {
  public:
-  /// Beside a player of this sandwich.
-  /// Errors: kUnsupported, saying why there is none: other passes than the modelled ones, settled tiles, or a size at which the
-  /// model takes long.
+  /// The passes of NSS v1 in double precision, beside a player of this sandwich.
+  /// Errors: kUnsupported, saying why there is none: other passes, settled tiles, or a size at which the model takes long.
   static Result<StressReference> create(const Sandwich& sandwich, const Player& player,
                                         bool has_tolerance, nss_v1::Rounding rounding);
+  /// The sandwich of a wide_frame() on the same device, with a network that sees its own past.
+  explicit StressReference(std::unique_ptr<Player> wide) : wide_(std::move(wide)) {}
 
   /// The next frame starts without a past. Frames with a cut do so themselves.
-  void reset() { model_.reset(); }
+  void reset();
 
-  /// What the player's last frame would show, linear: the passes by the model, the network by the exact interpreter from the
-  /// model's codes; or, with `of_device`, as the device had it, which is the same for the same codes, and cheap.
-  /// Errors: those of the interpreter and of Player::read_tensor.
+  /// What the player's last frame would show, linear. Of the model in double precision: the network by the exact interpreter
+  /// from the model's codes; or, with `of_device`, as the device had it, which is the same for the same codes, and cheap.
+  /// Errors: those of the interpreter, of Player::read_tensor and Player::play.
   Result<FloatImage> play(const SourceFrame& frame, const Player& player, bool of_device);
 
  private:
-  StressReference(Graph graph, const nss_v1::Form& form, nss_v1::Rounding rounding)
-      : graph_(std::move(graph)), model_(form, rounding) {}
+  struct Model {
+    Graph graph;
+    nss_v1::Model passes;
+  };
+  explicit StressReference(Model model) : model_(std::move(model)) {}
 
-  Graph graph_;
-  nss_v1::Model model_;
+  std::optional<Model> model_;
+  std::unique_ptr<Player> wide_;  ///< if there is no model
 };
 
 }  // namespace shale
