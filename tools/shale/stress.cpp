@@ -13,6 +13,7 @@
 #include "tools/eval/tonemap.h"
 #include "tools/shale/command.h"
 #include "tools/shale/cost_page.h"
+#include "tools/shale/outputs.h"
 #include "tools/shale/player.h"
 #include "tools/shale/stress_frames.h"
 #include "tools/shale/stress_reference.h"
@@ -740,6 +741,10 @@ Result<int> stress(const Arguments& arguments) {
     return arguments.only.empty() ||
            std::find(arguments.only.begin(), arguments.only.end(), group) != arguments.only.end();
   };
+  Outputs outputs;
+  outputs.keep(arguments.model);
+  SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
+  SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   Json json{{"schema", kStressSchema},
             {"model", arguments.model},
