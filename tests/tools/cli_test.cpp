@@ -149,10 +149,10 @@ TEST_F(Cli, StressSaysOfEachExtremeWhetherItHolds) {
 
   EXPECT_EQ(shale("stress " + lanczos + " --only lights").exit, 2);
   // Before the work, not after it.
-  const Outcome twice =
-      shale("stress " + lanczos + " --page " + file("a.json") + " --json-file " + file("a.json"));
-  EXPECT_EQ(twice.exit, 1);
-  EXPECT_NE(twice.text.find("is the file of --json-file already"), std::string::npos) << twice.text;
+  const Outcome refused = shale("stress " + lanczos + " --page " + folder_.string());
+  EXPECT_EQ(refused.exit, 1);
+  EXPECT_EQ(refused.text.find("MB more"), std::string::npos) << refused.text;
+  EXPECT_NE(refused.text.find("is a folder"), std::string::npos) << refused.text;
   const Outcome network = shale("stress " + file("small.tir"));
   EXPECT_EQ(network.exit, 1);
   EXPECT_NE(network.text.find("has no sandwich"), std::string::npos) << network.text;
