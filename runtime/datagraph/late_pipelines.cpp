@@ -17,7 +17,8 @@ constexpr uint64_t kRecordsBefore = 2;
 }  // namespace
 
 Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spirv& words,
-                                           VkPipelineLayout layout, VkPipelineCache cache) {
+                                           VkPipelineLayout layout, VkPipelineCache cache,
+                                           VkPipelineCreateFlags flags) {
   auto module_info =
       vk::init<VkShaderModuleCreateInfo>(VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
   module_info.codeSize = words.size() * sizeof(uint32_t);
@@ -26,6 +27,7 @@ Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spi
             vk::make(context.vk.CreateShaderModule, context.vk.DestroyShaderModule,
                      "vkCreateShaderModule", context.device, module_info));
   auto info = vk::init<VkComputePipelineCreateInfo>(VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO);
+  info.flags = flags;
   info.layout = layout;
   info.stage = vk::init<VkPipelineShaderStageCreateInfo>(
       VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO);

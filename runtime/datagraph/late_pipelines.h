@@ -22,7 +22,8 @@ class DriverCode;
 
 /// Errors: kDevice.
 Result<vk::PipelineHandle> create_pipeline(const vk::Context& context, const Spirv& words,
-                                           VkPipelineLayout layout, VkPipelineCache cache);
+                                           VkPipelineLayout layout, VkPipelineCache cache,
+                                           VkPipelineCreateFlags flags = 0);
 
 /// A pipeline to be made.
 struct LateJob {

@@ -24,6 +24,25 @@ KindFlags kind_flags(MemoryKind kind) {
   return {};
 }
 
+/// `flags` as VkMemoryAllocateFlagsInfo has them.
+Result<MemoryHandle> allocate_with(const Context& context, const VkMemoryRequirements& requirements,
+                                   MemoryKind kind, VkMemoryAllocateFlags flags) {
+  const auto [required, preferred] = kind_flags(kind);
+  const std::optional<uint32_t> type =
+      choose_memory_type(context.memory, requirements.memoryTypeBits, required, preferred);
+  if (!type)
+    return device_error(context.caps.name, "no memory type among {:#x} fits",
+                        requirements.memoryTypeBits);
+  auto flags_info = init<VkMemoryAllocateFlagsInfo>(VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO);
+  flags_info.flags = flags;
+  auto info = init<VkMemoryAllocateInfo>(VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO);
+  if (flags != 0) info.pNext = &flags_info;
+  info.allocationSize = requirements.size;
+  info.memoryTypeIndex = *type;
+  return make(context.vk.AllocateMemory, context.vk.FreeMemory, "vkAllocateMemory", context.device,
+              info);
+}
+
 }  // namespace
 
 std::optional<uint32_t> choose_memory_type(const VkPhysicalDeviceMemoryProperties& memory,
@@ -44,17 +63,7 @@ std::optional<uint32_t> choose_memory_type(const VkPhysicalDeviceMemoryPropertie
 
 Result<MemoryHandle> allocate(const Context& context, const VkMemoryRequirements& requirements,
                               MemoryKind kind) {
-  const auto [required, preferred] = kind_flags(kind);
-  const std::optional<uint32_t> type =
-      choose_memory_type(context.memory, requirements.memoryTypeBits, required, preferred);
-  if (!type)
-    return device_error(context.caps.name, "no memory type among {:#x} fits",
-                        requirements.memoryTypeBits);
-  auto info = init<VkMemoryAllocateInfo>(VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO);
-  info.allocationSize = requirements.size;
-  info.memoryTypeIndex = *type;
-  return make(context.vk.AllocateMemory, context.vk.FreeMemory, "vkAllocateMemory", context.device,
-              info);
+  return allocate_with(context, requirements, kind, 0);
 }
 
 Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes, VkBufferUsageFlags usage,
@@ -69,7 +78,9 @@ Result<Buffer> Buffer::create(const Context& context, uint64_t size_bytes, VkBuf
   VkMemoryRequirements requirements;
   context.vk.GetBufferMemoryRequirements(context.device, result.get(), &requirements);
   result.memory_bytes_ = requirements.size;
-  SHALE_TRY(result.memory_, allocate(context, requirements, kind));
+  const VkMemoryAllocateFlags flags =
+      usage & VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT ? VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT : 0;
+  SHALE_TRY(result.memory_, allocate_with(context, requirements, kind, flags));
   SHALE_TRY_VOID(
       check(context.vk.BindBufferMemory(context.device, result.get(), result.memory_.get(), 0),
             "vkBindBufferMemory"));

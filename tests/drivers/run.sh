@@ -33,7 +33,7 @@ if [ ! -e "$folder/complete" ]; then
 fi
 
 cmake -S "$source" -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release > "$folder/build.log"
-layer_tests='alias golden graph lent pipeline recording shader switches tensor vgf'
+layer_tests='alias descriptor_buffer golden graph lent optical_flow pipeline recording shader switches tensor vgf'
 cmake --build "$build" --target shale kernels_test coopmat_test gpu_target_test sandwich_test VkLayer_SHALE_data_graph \
   $(printf 'layer_%s_test ' $layer_tests) >> "$folder/build.log" ||
   { tail -n 20 "$folder/build.log"; fail "the build failed, see $folder/build.log"; }

@@ -105,7 +105,7 @@ static VkResult open_device(Client* client, void* next) {
     return VK_ERROR_FEATURE_NOT_PRESENT;
   all.features = (VkPhysicalDeviceFeatures){.shaderInt16 = all.features.shaderInt16,
                                             .shaderInt64 = all.features.shaderInt64};
-  const char* names[8] = {VK_ARM_TENSORS_EXTENSION_NAME, VK_ARM_DATA_GRAPH_EXTENSION_NAME};
+  const char* names[12] = {VK_ARM_TENSORS_EXTENSION_NAME, VK_ARM_DATA_GRAPH_EXTENSION_NAME};
   uint32_t name_count = 2;
   /* VK_ARM_data_graph depends on the last two. */
   const char* wanted[] = {VK_KHR_PUSH_DESCRIPTOR_EXTENSION_NAME,
@@ -113,6 +113,18 @@ static VkResult open_device(Client* client, void* next) {
                           VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME};
   for (size_t i = 0; i < sizeof wanted / sizeof *wanted; ++i)
     if (has_extension(client->physical, wanted[i])) names[name_count++] = wanted[i];
+  for (VkBaseOutStructure* each = next; each; each = each->pNext) {
+    if (each->sType == VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_FEATURES_EXT)
+      names[name_count++] = VK_EXT_DESCRIPTOR_BUFFER_EXTENSION_NAME;
+    if (each->sType == VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ROBUSTNESS_2_FEATURES_EXT) {
+      /* For null descriptors; the others want robustBufferAccess, too. */
+      VkPhysicalDeviceRobustness2FeaturesEXT* robustness = (void*)each;
+      robustness->robustBufferAccess2 = robustness->robustImageAccess2 = VK_FALSE;
+      names[name_count++] = VK_EXT_ROBUSTNESS_2_EXTENSION_NAME;
+    }
+    if (each->sType == VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_OPTICAL_FLOW_FEATURES_ARM)
+      names[name_count++] = VK_ARM_DATA_GRAPH_OPTICAL_FLOW_EXTENSION_NAME;
+  }
   const VkDeviceCreateInfo info = {.sType = VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO,
                                    .pNext = &all,
                                    .queueCreateInfoCount = 1,
@@ -257,7 +269,9 @@ static void create_layouts(const Client* client, const ClientGraphInfo* info, Cl
                                              .setLayoutCount = 1,
                                              .pSetLayouts = &graph->set_layout};
   MUST(vkCreatePipelineLayout(client->device, &layout, NULL, &graph->layout));
-  if (info->set_flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR) return;
+  if (info->set_flags & (VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR |
+                         VK_DESCRIPTOR_SET_LAYOUT_CREATE_DESCRIPTOR_BUFFER_BIT_EXT))
+    return;
   const VkDescriptorPoolSize size = {VK_DESCRIPTOR_TYPE_TENSOR_ARM, tensors};
   const VkDescriptorPoolCreateInfo pool = {
       .sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO,

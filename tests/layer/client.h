@@ -54,7 +54,8 @@ typedef struct Client {
 } Client;
 
 /* Opens the first device whose queue family runs data graphs. VK_ERROR_EXTENSION_NOT_PRESENT if there
- * is none. `next` is chained behind the features of the extensions and may be null. */
+ * is none. `next` is chained behind the features of the extensions and may be null; those of VK_EXT_descriptor_buffer,
+ * VK_EXT_robustness2 and VK_ARM_data_graph_optical_flow in it have their extension enabled. */
 VkResult client_open(Client* client, void* next);
 void client_close(Client* client);
 
@@ -111,7 +112,7 @@ typedef struct ClientGraphInfo {
   const VkSpecializationInfo* specialization;
   VkPipelineCreateFlags2 flags;
   VkPipelineCache cache;
-  /* With those of pushed descriptors there is no set; with VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT
+  /* With those of pushed descriptors or of descriptor buffers there is no set; with VK_DESCRIPTOR_SET_LAYOUT_CREATE_UPDATE_AFTER_BIND_POOL_BIT
    * the set may be written when it is bound. */
   VkDescriptorSetLayoutCreateFlags set_flags;
   void* next; /* chained to the pipeline's create info */

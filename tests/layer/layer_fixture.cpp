@@ -222,8 +222,12 @@ HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, 
   if (!host.buffer) return host;
   VkMemoryRequirements needs;
   vkGetBufferMemoryRequirements(client.device, host.buffer, &needs);
+  VkMemoryAllocateFlagsInfo flags{};
+  flags.sType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO;
+  flags.flags = VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
   VkMemoryAllocateInfo memory{};
   memory.sType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO;
+  if (usage & VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT) memory.pNext = &flags;
   memory.allocationSize = needs.size;
   memory.memoryTypeIndex = client_memory_type(
       &client, needs.memoryTypeBits,

@@ -1,5 +1,5 @@
-/* tools/layer/arm_vulkan.h -- VK_ARM_tensors, VK_ARM_data_graph and VK_ARM_data_graph_instruction_set_tosa
- * for Vulkan headers that do not know them, in C11 and C++. Headers that do win.
+/* tools/layer/arm_vulkan.h -- VK_ARM_tensors, VK_ARM_data_graph and its two extensions, and what
+ * meets them of VK_KHR_maintenance5 and 6, for Vulkan headers that do not know them, in C11 and C++. Headers that do win.
  *
  * Enumerators of enums that the headers close are macros; pointer types of functions are there, and no
  * prototypes: clients ask vkGetDeviceProcAddr. Source: the Vulkan registry, header version 359. */
@@ -658,6 +658,78 @@ typedef void(VKAPI_PTR* PFN_vkGetPhysicalDeviceQueueFamilyDataGraphProcessingEng
         pQueueFamilyDataGraphProcessingEngineProperties);
 #endif
 
+#ifndef VK_KHR_maintenance6
+#define VK_KHR_maintenance6 1
+#define VK_KHR_MAINTENANCE_6_EXTENSION_NAME "VK_KHR_maintenance6"
+#define VK_STRUCTURE_TYPE_BIND_DESCRIPTOR_SETS_INFO_KHR ((VkStructureType)1000545003)
+#define VK_STRUCTURE_TYPE_PUSH_DESCRIPTOR_SET_INFO_KHR ((VkStructureType)1000545005)
+#define VK_STRUCTURE_TYPE_PUSH_DESCRIPTOR_SET_WITH_TEMPLATE_INFO_KHR ((VkStructureType)1000545006)
+#define VK_STRUCTURE_TYPE_SET_DESCRIPTOR_BUFFER_OFFSETS_INFO_EXT ((VkStructureType)1000545007)
+#define VK_STRUCTURE_TYPE_BIND_DESCRIPTOR_BUFFER_EMBEDDED_SAMPLERS_INFO_EXT \
+  ((VkStructureType)1000545008)
+
+typedef struct VkBindDescriptorSetsInfoKHR {
+  VkStructureType sType;
+  const void* pNext;
+  VkShaderStageFlags stageFlags;
+  VkPipelineLayout layout;
+  uint32_t firstSet;
+  uint32_t descriptorSetCount;
+  const VkDescriptorSet* pDescriptorSets;
+  uint32_t dynamicOffsetCount;
+  const uint32_t* pDynamicOffsets;
+} VkBindDescriptorSetsInfoKHR;
+
+typedef struct VkPushDescriptorSetInfoKHR {
+  VkStructureType sType;
+  const void* pNext;
+  VkShaderStageFlags stageFlags;
+  VkPipelineLayout layout;
+  uint32_t set;
+  uint32_t descriptorWriteCount;
+  const VkWriteDescriptorSet* pDescriptorWrites;
+} VkPushDescriptorSetInfoKHR;
+
+typedef struct VkPushDescriptorSetWithTemplateInfoKHR {
+  VkStructureType sType;
+  const void* pNext;
+  VkDescriptorUpdateTemplate descriptorUpdateTemplate;
+  VkPipelineLayout layout;
+  uint32_t set;
+  const void* pData;
+} VkPushDescriptorSetWithTemplateInfoKHR;
+
+typedef struct VkSetDescriptorBufferOffsetsInfoEXT {
+  VkStructureType sType;
+  const void* pNext;
+  VkShaderStageFlags stageFlags;
+  VkPipelineLayout layout;
+  uint32_t firstSet;
+  uint32_t setCount;
+  const uint32_t* pBufferIndices;
+  const VkDeviceSize* pOffsets;
+} VkSetDescriptorBufferOffsetsInfoEXT;
+
+typedef struct VkBindDescriptorBufferEmbeddedSamplersInfoEXT {
+  VkStructureType sType;
+  const void* pNext;
+  VkShaderStageFlags stageFlags;
+  VkPipelineLayout layout;
+  uint32_t set;
+} VkBindDescriptorBufferEmbeddedSamplersInfoEXT;
+
+typedef void(VKAPI_PTR* PFN_vkCmdBindDescriptorSets2KHR)(VkCommandBuffer commandBuffer,
+                                                         const VkBindDescriptorSetsInfoKHR* pInfo);
+typedef void(VKAPI_PTR* PFN_vkCmdPushDescriptorSet2KHR)(VkCommandBuffer commandBuffer,
+                                                        const VkPushDescriptorSetInfoKHR* pInfo);
+typedef void(VKAPI_PTR* PFN_vkCmdPushDescriptorSetWithTemplate2KHR)(
+    VkCommandBuffer commandBuffer, const VkPushDescriptorSetWithTemplateInfoKHR* pInfo);
+typedef void(VKAPI_PTR* PFN_vkCmdSetDescriptorBufferOffsets2EXT)(
+    VkCommandBuffer commandBuffer, const VkSetDescriptorBufferOffsetsInfoEXT* pInfo);
+typedef void(VKAPI_PTR* PFN_vkCmdBindDescriptorBufferEmbeddedSamplers2EXT)(
+    VkCommandBuffer commandBuffer, const VkBindDescriptorBufferEmbeddedSamplersInfoEXT* pInfo);
+#endif
+
 #ifndef VK_ARM_data_graph_instruction_set_tosa
 #define VK_ARM_data_graph_instruction_set_tosa 1
 #define VK_ARM_DATA_GRAPH_INSTRUCTION_SET_TOSA_SPEC_VERSION 1
@@ -703,6 +775,179 @@ typedef VkResult(
     VkPhysicalDevice physicalDevice, uint32_t queueFamilyIndex,
     const VkQueueFamilyDataGraphPropertiesARM* pQueueFamilyDataGraphProperties,
     VkBaseOutStructure* pProperties);
+#endif
+
+#ifndef VK_ARM_data_graph_optical_flow
+#define VK_ARM_data_graph_optical_flow 1
+#define VK_ARM_DATA_GRAPH_OPTICAL_FLOW_SPEC_VERSION 1
+#define VK_ARM_DATA_GRAPH_OPTICAL_FLOW_EXTENSION_NAME "VK_ARM_data_graph_optical_flow"
+
+#define VK_PHYSICAL_DEVICE_DATA_GRAPH_OPERATION_TYPE_OPTICAL_FLOW_ARM \
+  ((VkPhysicalDeviceDataGraphOperationTypeARM)1000631000)
+#define VK_DATA_GRAPH_PIPELINE_SESSION_BIND_POINT_OPTICAL_FLOW_CACHE_ARM \
+  ((VkDataGraphPipelineSessionBindPointARM)1000631001)
+
+static const VkFormatFeatureFlagBits2 VK_FORMAT_FEATURE_2_DATA_GRAPH_OPTICAL_FLOW_IMAGE_BIT_ARM =
+    1ull << 56;
+static const VkFormatFeatureFlagBits2 VK_FORMAT_FEATURE_2_DATA_GRAPH_OPTICAL_FLOW_VECTOR_BIT_ARM =
+    1ull << 57;
+static const VkFormatFeatureFlagBits2 VK_FORMAT_FEATURE_2_DATA_GRAPH_OPTICAL_FLOW_COST_BIT_ARM =
+    1ull << 58;
+
+#define VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_OPTICAL_FLOW_FEATURES_ARM \
+  ((VkStructureType)1000631000)
+#define VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_OPTICAL_FLOW_PROPERTIES_ARM \
+  ((VkStructureType)1000631001)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_OPTICAL_FLOW_CREATE_INFO_ARM \
+  ((VkStructureType)1000631002)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_OPTICAL_FLOW_IMAGE_FORMAT_INFO_ARM \
+  ((VkStructureType)1000631003)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_OPTICAL_FLOW_IMAGE_FORMAT_PROPERTIES_ARM \
+  ((VkStructureType)1000631004)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_OPTICAL_FLOW_DISPATCH_INFO_ARM \
+  ((VkStructureType)1000631005)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_RESOURCE_INFO_IMAGE_LAYOUT_ARM \
+  ((VkStructureType)1000631006)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SINGLE_NODE_CREATE_INFO_ARM \
+  ((VkStructureType)1000631007)
+#define VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SINGLE_NODE_CONNECTION_ARM \
+  ((VkStructureType)1000631008)
+
+typedef VkFlags VkDataGraphOpticalFlowImageUsageFlagsARM;
+typedef enum VkDataGraphOpticalFlowImageUsageFlagBitsARM {
+  VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_UNKNOWN_ARM = 0,
+  VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_INPUT_BIT_ARM = 0x1,
+  VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_OUTPUT_BIT_ARM = 0x2,
+  VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_HINT_BIT_ARM = 0x4,
+  VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_COST_BIT_ARM = 0x8
+} VkDataGraphOpticalFlowImageUsageFlagBitsARM;
+
+typedef VkFlags VkDataGraphOpticalFlowCreateFlagsARM;
+typedef enum VkDataGraphOpticalFlowCreateFlagBitsARM {
+  VK_DATA_GRAPH_OPTICAL_FLOW_CREATE_ENABLE_HINT_BIT_ARM = 0x1,
+  VK_DATA_GRAPH_OPTICAL_FLOW_CREATE_ENABLE_COST_BIT_ARM = 0x2,
+  VK_DATA_GRAPH_OPTICAL_FLOW_CREATE_RESERVED_30_BIT_ARM = 0x40000000
+} VkDataGraphOpticalFlowCreateFlagBitsARM;
+
+typedef enum VkDataGraphOpticalFlowPerformanceLevelARM {
+  VK_DATA_GRAPH_OPTICAL_FLOW_PERFORMANCE_LEVEL_UNKNOWN_ARM = 0,
+  VK_DATA_GRAPH_OPTICAL_FLOW_PERFORMANCE_LEVEL_SLOW_ARM = 1,
+  VK_DATA_GRAPH_OPTICAL_FLOW_PERFORMANCE_LEVEL_MEDIUM_ARM = 2,
+  VK_DATA_GRAPH_OPTICAL_FLOW_PERFORMANCE_LEVEL_FAST_ARM = 3,
+  VK_DATA_GRAPH_OPTICAL_FLOW_PERFORMANCE_LEVEL_MAX_ENUM_ARM = 0x7FFFFFFF
+} VkDataGraphOpticalFlowPerformanceLevelARM;
+
+typedef VkFlags VkDataGraphOpticalFlowGridSizeFlagsARM;
+typedef enum VkDataGraphOpticalFlowGridSizeFlagBitsARM {
+  VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_UNKNOWN_ARM = 0,
+  VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_1X1_BIT_ARM = 0x1,
+  VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_2X2_BIT_ARM = 0x2,
+  VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_4X4_BIT_ARM = 0x4,
+  VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_8X8_BIT_ARM = 0x8
+} VkDataGraphOpticalFlowGridSizeFlagBitsARM;
+
+typedef VkFlags VkDataGraphOpticalFlowExecuteFlagsARM;
+typedef enum VkDataGraphOpticalFlowExecuteFlagBitsARM {
+  VK_DATA_GRAPH_OPTICAL_FLOW_EXECUTE_DISABLE_TEMPORAL_HINTS_BIT_ARM = 0x1,
+  VK_DATA_GRAPH_OPTICAL_FLOW_EXECUTE_INPUT_UNCHANGED_BIT_ARM = 0x2,
+  VK_DATA_GRAPH_OPTICAL_FLOW_EXECUTE_REFERENCE_UNCHANGED_BIT_ARM = 0x4,
+  VK_DATA_GRAPH_OPTICAL_FLOW_EXECUTE_INPUT_IS_PREVIOUS_REFERENCE_BIT_ARM = 0x8,
+  VK_DATA_GRAPH_OPTICAL_FLOW_EXECUTE_REFERENCE_IS_PREVIOUS_INPUT_BIT_ARM = 0x10
+} VkDataGraphOpticalFlowExecuteFlagBitsARM;
+
+typedef enum VkDataGraphPipelineNodeTypeARM {
+  VK_DATA_GRAPH_PIPELINE_NODE_TYPE_OPTICAL_FLOW_ARM = 1000631000,
+  VK_DATA_GRAPH_PIPELINE_NODE_TYPE_MAX_ENUM_ARM = 0x7FFFFFFF
+} VkDataGraphPipelineNodeTypeARM;
+
+typedef enum VkDataGraphPipelineNodeConnectionTypeARM {
+  VK_DATA_GRAPH_PIPELINE_NODE_CONNECTION_TYPE_OPTICAL_FLOW_INPUT_ARM = 1000631000,
+  VK_DATA_GRAPH_PIPELINE_NODE_CONNECTION_TYPE_OPTICAL_FLOW_REFERENCE_ARM = 1000631001,
+  VK_DATA_GRAPH_PIPELINE_NODE_CONNECTION_TYPE_OPTICAL_FLOW_HINT_ARM = 1000631002,
+  VK_DATA_GRAPH_PIPELINE_NODE_CONNECTION_TYPE_OPTICAL_FLOW_FLOW_VECTOR_ARM = 1000631003,
+  VK_DATA_GRAPH_PIPELINE_NODE_CONNECTION_TYPE_OPTICAL_FLOW_COST_ARM = 1000631004,
+  VK_DATA_GRAPH_PIPELINE_NODE_CONNECTION_TYPE_MAX_ENUM_ARM = 0x7FFFFFFF
+} VkDataGraphPipelineNodeConnectionTypeARM;
+
+typedef struct VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM {
+  VkStructureType sType;
+  void* pNext;
+  VkBool32 dataGraphOpticalFlow;
+} VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM;
+
+typedef struct VkQueueFamilyDataGraphOpticalFlowPropertiesARM {
+  VkStructureType sType;
+  void* pNext;
+  VkDataGraphOpticalFlowGridSizeFlagsARM supportedOutputGridSizes;
+  VkDataGraphOpticalFlowGridSizeFlagsARM supportedHintGridSizes;
+  VkBool32 hintSupported;
+  VkBool32 costSupported;
+  uint32_t minWidth;
+  uint32_t minHeight;
+  uint32_t maxWidth;
+  uint32_t maxHeight;
+} VkQueueFamilyDataGraphOpticalFlowPropertiesARM;
+
+typedef struct VkDataGraphPipelineOpticalFlowCreateInfoARM {
+  VkStructureType sType;
+  void* pNext;
+  uint32_t width;
+  uint32_t height;
+  VkFormat imageFormat;
+  VkFormat flowVectorFormat;
+  VkFormat costFormat;
+  VkDataGraphOpticalFlowGridSizeFlagsARM outputGridSize;
+  VkDataGraphOpticalFlowGridSizeFlagsARM hintGridSize;
+  VkDataGraphOpticalFlowPerformanceLevelARM performanceLevel;
+  VkDataGraphOpticalFlowCreateFlagsARM flags;
+} VkDataGraphPipelineOpticalFlowCreateInfoARM;
+
+typedef struct VkDataGraphOpticalFlowImageFormatPropertiesARM {
+  VkStructureType sType;
+  void* pNext;
+  VkFormat format;
+} VkDataGraphOpticalFlowImageFormatPropertiesARM;
+
+typedef struct VkDataGraphOpticalFlowImageFormatInfoARM {
+  VkStructureType sType;
+  const void* pNext;
+  VkDataGraphOpticalFlowImageUsageFlagsARM usage;
+} VkDataGraphOpticalFlowImageFormatInfoARM;
+
+typedef struct VkDataGraphPipelineOpticalFlowDispatchInfoARM {
+  VkStructureType sType;
+  void* pNext;
+  VkDataGraphOpticalFlowExecuteFlagsARM flags;
+  uint32_t meanFlowL1NormHint;
+} VkDataGraphPipelineOpticalFlowDispatchInfoARM;
+
+typedef struct VkDataGraphPipelineResourceInfoImageLayoutARM {
+  VkStructureType sType;
+  const void* pNext;
+  VkImageLayout layout;
+} VkDataGraphPipelineResourceInfoImageLayoutARM;
+
+typedef struct VkDataGraphPipelineSingleNodeConnectionARM {
+  VkStructureType sType;
+  void* pNext;
+  uint32_t set;
+  uint32_t binding;
+  VkDataGraphPipelineNodeConnectionTypeARM connection;
+} VkDataGraphPipelineSingleNodeConnectionARM;
+
+typedef struct VkDataGraphPipelineSingleNodeCreateInfoARM {
+  VkStructureType sType;
+  void* pNext;
+  VkDataGraphPipelineNodeTypeARM nodeType;
+  uint32_t connectionCount;
+  const VkDataGraphPipelineSingleNodeConnectionARM* pConnections;
+} VkDataGraphPipelineSingleNodeCreateInfoARM;
+
+typedef VkResult(VKAPI_PTR* PFN_vkGetPhysicalDeviceQueueFamilyDataGraphOpticalFlowImageFormatsARM)(
+    VkPhysicalDevice physicalDevice, uint32_t queueFamilyIndex,
+    const VkQueueFamilyDataGraphPropertiesARM* pQueueFamilyDataGraphProperties,
+    const VkDataGraphOpticalFlowImageFormatInfoARM* pOpticalFlowImageFormatInfo,
+    uint32_t* pFormatCount, VkDataGraphOpticalFlowImageFormatPropertiesARM* pImageFormatProperties);
 #endif
 
 #ifdef __cplusplus

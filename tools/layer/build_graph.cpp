@@ -191,6 +191,9 @@ Result<GraphSource> read_source(Device& device, const VkDataGraphPipelineCreateI
   const auto layout = device.layouts.find(info.layout);
   if (!layout) return bad_input("VkPipelineLayout", "is unknown");
   if (layout->has_push_constants) return bad_input("VkPipelineLayout", "has push constants");
+  if (info.resourceInfoCount > 0 && !info.pResourceInfos)
+    return bad_input("VkDataGraphPipelineCreateInfoARM",
+                     "has no resource infos behind pResourceInfos");
   for (uint32_t i = 0; i < info.resourceInfoCount; ++i) {
     const VkDataGraphPipelineResourceInfoARM& resource = info.pResourceInfos[i];
     const std::string where = fmt::format("resource {} (set {}, binding {})", i,
@@ -213,6 +216,9 @@ Result<GraphSource> read_source(Device& device, const VkDataGraphPipelineCreateI
       return bad_input(where, "the pipeline layout has no tensor there");
     source.resources.push_back({resource.descriptorSet, resource.binding, *std::move(tensor)});
   }
+  if (module.constantCount > 0 && !module.pConstants)
+    return bad_input("VkDataGraphPipelineShaderModuleCreateInfoARM",
+                     "has no constants behind pConstants");
   for (uint32_t i = 0; i < module.constantCount; ++i) {
     const VkDataGraphPipelineConstantARM& constant = module.pConstants[i];
     const std::string where = fmt::format("constant {} (id {})", i, constant.id);

@@ -28,9 +28,9 @@ size_t struct_size(VkStructureType type) {
 }  // namespace
 
 bool is_layers(VkStructureType type, bool maintenance5) {
-  // Registry numbers 461, 508 and 509: those of the three extensions.
+  // Registry numbers 461, 508, 509 and 632: those of the four extensions.
   const int block = static_cast<int>(type) / 1000;
-  return block == 1000460 || block == 1000507 || block == 1000508 ||
+  return block == 1000460 || block == 1000507 || block == 1000508 || block == 1000631 ||
          (maintenance5 && block == 1000470);
 }
 

@@ -9,16 +9,6 @@
 namespace shale::layer {
 namespace {
 
-/// The state of a command buffer; made where the layer meets it first.
-CommandState& state_of(Device& device, VkCommandBuffer commands) {
-  auto state = device.commands.find(commands);
-  if (!state) {
-    state = std::make_shared<CommandState>();
-    device.commands.put(commands, state);
-  }
-  return *state;  // as long as the command buffer
-}
-
 void forget(Device& device, std::span<const VkCommandBuffer> buffers) {
   for (const VkCommandBuffer each : buffers) {
     device.commands.take(each);
@@ -91,10 +81,20 @@ void push_to_graph(Device& device, CommandState& state, VkPipelineLayout layout_
   std::shared_ptr<Set>& pushed = state.pushed_graph_sets[set];
   if (!pushed || state.graph_sets[set] != pushed)
     state.graph_sets[set] = pushed = std::make_shared<Set>(*layout->sets[set]);
-  const SplitWrites split(writes, [&](const VkWriteDescriptorSet&) { return pushed.get(); });
+  const SplitWrites split(device, writes,
+                          [&](const VkWriteDescriptorSet&) { return pushed.get(); });
 }
 
 }  // namespace
+
+CommandState& state_of(Device& device, VkCommandBuffer commands) {
+  auto state = device.commands.find(commands);
+  if (!state) {
+    state = std::make_shared<CommandState>();
+    device.commands.put(commands, state);
+  }
+  return *state;  // as long as the command buffer
+}
 
 void CommandState::bind_sets(uint32_t first, uint32_t count,
                              std::function<void(VkCommandBuffer)> again) {
@@ -226,8 +226,11 @@ void VKAPI_CALL CmdBindDescriptorSets(VkCommandBuffer commands, VkPipelineBindPo
   record_guarded(commands, [&](Device& device) -> Result<void> {
     if (point == VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM) {
       CommandState& state = state_of(device, commands);
-      for (uint32_t i = 0; i < count; ++i)
+      for (uint32_t i = 0; i < count; ++i) {
+        state.graph_buffer_sets.erase(first + i);
         state.graph_sets[first + i] = sets[i] ? device.sets.find(sets[i]) : nullptr;
+        state.graph_handles[first + i] = sets[i];
+      }
       return {};
     }
     if (point == VK_PIPELINE_BIND_POINT_COMPUTE)
@@ -256,7 +259,7 @@ void VKAPI_CALL CmdPushDescriptorSetKHR(VkCommandBuffer commands, VkPipelineBind
       push_to_graph(device, state, layout, set, all);
       return {};
     }
-    const SplitWrites split(all, [](const VkWriteDescriptorSet&) { return nullptr; });
+    const SplitWrites split(device, all, [](const VkWriteDescriptorSet&) { return nullptr; });
     if (split.below().empty()) return {};
     if (point == VK_PIPELINE_BIND_POINT_COMPUTE) {
       // Pushes add to each other, unless another set was bound in between.
@@ -298,14 +301,70 @@ void VKAPI_CALL CmdPushDescriptorSetWithTemplateKHR(VkCommandBuffer commands,
   });
 }
 
+/// Calls work(point) for the bind points of `stages` that the layer has to know of, and gives what is left of them.
+template <typename Work>
+static VkShaderStageFlags known_points(VkShaderStageFlags stages, const Work& work) {
+  // There is no stage of graphs: those that name all mean them, too.
+  if (stages == VK_SHADER_STAGE_ALL) work(VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM);
+  if (stages & VK_SHADER_STAGE_COMPUTE_BIT) work(VK_PIPELINE_BIND_POINT_COMPUTE);
+  return stages & ~VkShaderStageFlags{VK_SHADER_STAGE_COMPUTE_BIT};
+}
+
+void VKAPI_CALL CmdBindDescriptorSets2KHR(VkCommandBuffer commands,
+                                          const VkBindDescriptorSetsInfoKHR* info) {
+  record_guarded(commands, [&](Device& device) -> Result<void> {
+    VkBindDescriptorSetsInfoKHR rest = *info;
+    if (info->layout)  // else a chained layout, which is not kept
+      rest.stageFlags = known_points(info->stageFlags, [&](VkPipelineBindPoint point) {
+        CmdBindDescriptorSets(commands, point, info->layout, info->firstSet,
+                              info->descriptorSetCount, info->pDescriptorSets,
+                              info->dynamicOffsetCount, info->pDynamicOffsets);
+      });
+    if (rest.stageFlags != 0) device.CmdBindDescriptorSets2KHR(commands, &rest);
+    return {};
+  });
+}
+
+void VKAPI_CALL CmdPushDescriptorSet2KHR(VkCommandBuffer commands,
+                                         const VkPushDescriptorSetInfoKHR* info) {
+  record_guarded(commands, [&](Device& device) -> Result<void> {
+    VkPushDescriptorSetInfoKHR rest = *info;
+    if (info->layout)
+      rest.stageFlags = known_points(info->stageFlags, [&](VkPipelineBindPoint point) {
+        CmdPushDescriptorSetKHR(commands, point, info->layout, info->set,
+                                info->descriptorWriteCount, info->pDescriptorWrites);
+      });
+    if (rest.stageFlags == 0) return {};
+    const SplitWrites split(device, {info->pDescriptorWrites, info->descriptorWriteCount},
+                            [](const VkWriteDescriptorSet&) { return nullptr; });
+    rest.descriptorWriteCount = static_cast<uint32_t>(split.below().size());
+    rest.pDescriptorWrites = split.below().data();
+    if (rest.descriptorWriteCount > 0) device.CmdPushDescriptorSet2KHR(commands, &rest);
+    return {};
+  });
+}
+
+void VKAPI_CALL CmdPushDescriptorSetWithTemplate2KHR(
+    VkCommandBuffer commands, const VkPushDescriptorSetWithTemplateInfoKHR* info) {
+  if (info->layout)  // the template names its one bind point
+    CmdPushDescriptorSetWithTemplateKHR(commands, info->descriptorUpdateTemplate, info->layout,
+                                        info->set, info->pData);
+  else
+    device_of(commands).CmdPushDescriptorSetWithTemplate2KHR(commands, info);
+}
+
 void VKAPI_CALL CmdBindDescriptorBuffersEXT(VkCommandBuffer commands, uint32_t count,
                                             const VkDescriptorBufferBindingInfoEXT* infos) {
   record_guarded(commands, [&](Device& device) -> Result<void> {
+    std::vector<std::shared_ptr<ChainCopy>> chains;
+    for (uint32_t i = 0; i < count; ++i)
+      chains.push_back(std::make_shared<ChainCopy>(infos[i].pNext));
     state_of(device, commands).descriptor_buffers =
-        [&device, all = std::vector(infos, infos + count)](VkCommandBuffer to) {
-          std::vector<VkDescriptorBufferBindingInfoEXT> plain = all;
-          for (VkDescriptorBufferBindingInfoEXT& each : plain) each.pNext = nullptr;
-          device.CmdBindDescriptorBuffersEXT(to, static_cast<uint32_t>(plain.size()), plain.data());
+        [&device, chains, all = std::vector(infos, infos + count)](VkCommandBuffer to) {
+          std::vector<VkDescriptorBufferBindingInfoEXT> own = all;
+          for (size_t i = 0; i < own.size(); ++i)
+            own[i].pNext = const_cast<void*>(chains[i]->next());
+          device.CmdBindDescriptorBuffersEXT(to, static_cast<uint32_t>(own.size()), own.data());
         };
     device.CmdBindDescriptorBuffersEXT(commands, count, infos);
     return {};
@@ -318,6 +377,15 @@ void VKAPI_CALL CmdSetDescriptorBufferOffsetsEXT(VkCommandBuffer commands,
                                                  const uint32_t* buffers,
                                                  const VkDeviceSize* offsets) {
   record_guarded(commands, [&](Device& device) -> Result<void> {
+    if (point == VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM) {
+      CommandState& state = state_of(device, commands);
+      for (uint32_t i = 0; i < count; ++i) {
+        state.graph_sets.erase(first + i);
+        state.graph_handles.erase(first + i);
+        state.graph_buffer_sets[first + i] = {buffers[i], offsets[i]};
+      }
+      return {};
+    }
     if (point == VK_PIPELINE_BIND_POINT_COMPUTE)
       state_of(device, commands)
           .bind_sets(first, count,
@@ -329,6 +397,48 @@ void VKAPI_CALL CmdSetDescriptorBufferOffsetsEXT(VkCommandBuffer commands,
                      });
     device.CmdSetDescriptorBufferOffsetsEXT(commands, point, layout, first, count, buffers,
                                             offsets);
+    return {};
+  });
+}
+
+void VKAPI_CALL CmdSetDescriptorBufferOffsets2EXT(VkCommandBuffer commands,
+                                                  const VkSetDescriptorBufferOffsetsInfoEXT* info) {
+  record_guarded(commands, [&](Device& device) -> Result<void> {
+    VkSetDescriptorBufferOffsetsInfoEXT rest = *info;
+    if (info->layout)
+      rest.stageFlags = known_points(info->stageFlags, [&](VkPipelineBindPoint point) {
+        CmdSetDescriptorBufferOffsetsEXT(commands, point, info->layout, info->firstSet,
+                                         info->setCount, info->pBufferIndices, info->pOffsets);
+      });
+    if (rest.stageFlags != 0) device.CmdSetDescriptorBufferOffsets2EXT(commands, &rest);
+    return {};
+  });
+}
+
+void VKAPI_CALL CmdBindDescriptorBufferEmbeddedSamplersEXT(VkCommandBuffer commands,
+                                                           VkPipelineBindPoint point,
+                                                           VkPipelineLayout layout, uint32_t set) {
+  record_guarded(commands, [&](Device& device) -> Result<void> {
+    if (point == VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM) return {};  // it has none
+    if (point == VK_PIPELINE_BIND_POINT_COMPUTE)
+      state_of(device, commands).bind_sets(set, 1, [&device, layout, set](VkCommandBuffer to) {
+        device.CmdBindDescriptorBufferEmbeddedSamplersEXT(to, VK_PIPELINE_BIND_POINT_COMPUTE,
+                                                          layout, set);
+      });
+    device.CmdBindDescriptorBufferEmbeddedSamplersEXT(commands, point, layout, set);
+    return {};
+  });
+}
+
+void VKAPI_CALL CmdBindDescriptorBufferEmbeddedSamplers2EXT(
+    VkCommandBuffer commands, const VkBindDescriptorBufferEmbeddedSamplersInfoEXT* info) {
+  record_guarded(commands, [&](Device& device) -> Result<void> {
+    VkBindDescriptorBufferEmbeddedSamplersInfoEXT rest = *info;
+    if (info->layout)
+      rest.stageFlags = known_points(info->stageFlags, [&](VkPipelineBindPoint point) {
+        CmdBindDescriptorBufferEmbeddedSamplersEXT(commands, point, info->layout, info->set);
+      });
+    if (rest.stageFlags != 0) device.CmdBindDescriptorBufferEmbeddedSamplers2EXT(commands, &rest);
     return {};
   });
 }

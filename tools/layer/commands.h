@@ -21,9 +21,16 @@ struct CommandState {
   VkPipeline compute = VK_NULL_HANDLE;
   std::function<void(VkCommandBuffer)> descriptor_buffers;
   std::vector<Bound> compute_sets;  ///< in the order in which they were bound
-  GraphPipeline* graph = nullptr;
+  std::shared_ptr<GraphPipeline> graph;
   std::map<uint32_t, std::shared_ptr<Set>> graph_sets;
   std::map<uint32_t, std::shared_ptr<Set>> pushed_graph_sets;  ///< those made by pushes
+  std::map<uint32_t, VkDescriptorSet> graph_handles;  ///< of graph_sets and of sets without tensors
+  /// A set of a graph that lies in one of `descriptor_buffers`.
+  struct InBuffer {
+    uint32_t buffer = 0;
+    VkDeviceSize offset = 0;
+  };
+  std::map<uint32_t, InBuffer> graph_buffer_sets;
   LateDispatches late;           ///< recorded here, or in secondary buffers that are executed
   VkResult failed = VK_SUCCESS;  ///< what ending the recording answers
 
@@ -31,6 +38,9 @@ struct CommandState {
   /// Records what is bound to compute once more.
   void restore(const Device& device, VkCommandBuffer commands) const;
 };
+
+/// The state of a command buffer; made where the layer meets it first.
+CommandState& state_of(Device& device, VkCommandBuffer commands);
 
 /// Runs a command's work; an error is reported, and vkEndCommandBuffer will fail.
 void record_guarded(VkCommandBuffer commands,

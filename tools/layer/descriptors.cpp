@@ -15,11 +15,16 @@ class LayoutBelow {
   LayoutBelow(const Device& device, const VkDescriptorSetLayoutCreateInfo& info)
       : bindings_(info.pBindings, info.pBindings + info.bindingCount), chain_(info.pNext) {
     info_ = info;
+    // Tensors of graphs in descriptor buffers are read by the layer's own shader.
+    const VkShaderStageFlags own_stage =
+        info.flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_DESCRIPTOR_BUFFER_BIT_EXT
+            ? VK_SHADER_STAGE_COMPUTE_BIT
+            : 0;
     for (VkDescriptorSetLayoutBinding& binding : bindings_)
       if (binding.descriptorType == VK_DESCRIPTOR_TYPE_TENSOR_ARM)
         binding = {binding.binding, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,
-                   device.tensor_shaders ? kBuffersOfTensor * binding.descriptorCount : 0,
-                   device.tensor_shaders ? binding.stageFlags : 0, nullptr};
+                   device.tensor_buffers ? kBuffersOfTensor * binding.descriptorCount : 0,
+                   device.tensor_buffers ? binding.stageFlags | own_stage : 0, nullptr};
     info_.pBindings = bindings_.data();
     info_.pNext = chain_.next();
   }
@@ -32,7 +37,7 @@ class LayoutBelow {
 };
 
 /// Where a write or copy that runs over the end of a binding goes on; true if there is a place.
-bool settle(const std::map<uint32_t, std::vector<const Tensor*>>& tensors, uint32_t& binding,
+bool settle(const std::map<uint32_t, std::vector<uint64_t>>& tensors, uint32_t& binding,
             uint32_t& element) {
   auto at = tensors.find(binding);
   while (at != tensors.end() && element >= at->second.size()) {
@@ -58,9 +63,9 @@ void copy_tensors(Device& device, const VkCopyDescriptorSet& copy,
     if (!settle(from->tensors, one.srcBinding, from_element) ||
         !settle(to->tensors, one.dstBinding, to_element))
       break;
-    const Tensor* tensor = from->tensors[one.srcBinding][from_element];
+    const uint64_t tensor = from->tensors[one.srcBinding][from_element];
     to->tensors[one.dstBinding][to_element] = tensor;
-    if (!device.tensor_shaders || !tensor) continue;
+    if (!device.tensor_buffers || (!tensor && !device.null_descriptors)) continue;
     one.srcArrayElement = kBuffersOfTensor * from_element;
     one.dstArrayElement = kBuffersOfTensor * to_element;
     one.descriptorCount = kBuffersOfTensor;
@@ -70,6 +75,9 @@ void copy_tensors(Device& device, const VkCopyDescriptorSet& copy,
 
 SetLayout read_set_layout(const VkDescriptorSetLayoutCreateInfo& info) {
   SetLayout layout;
+  layout.in_descriptor_buffer =
+      info.flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_DESCRIPTOR_BUFFER_BIT_EXT;
+  layout.is_pushed = info.flags & VK_DESCRIPTOR_SET_LAYOUT_CREATE_PUSH_DESCRIPTOR_BIT_KHR;
   const auto* flags = find_in_chain<VkDescriptorSetLayoutBindingFlagsCreateInfo>(
       info.pNext, VK_STRUCTURE_TYPE_DESCRIPTOR_SET_LAYOUT_BINDING_FLAGS_CREATE_INFO);
   for (uint32_t i = 0; i < info.bindingCount; ++i) {
@@ -78,12 +86,36 @@ SetLayout read_set_layout(const VkDescriptorSetLayoutCreateInfo& info) {
         flags && i < flags->bindingCount ? flags->pBindingFlags[i] : 0;
     layout.bindings[binding.binding] = {
         binding.descriptorType, binding.descriptorCount,
-        (own & VK_DESCRIPTOR_BINDING_VARIABLE_DESCRIPTOR_COUNT_BIT) != 0};
+        (own & VK_DESCRIPTOR_BINDING_VARIABLE_DESCRIPTOR_COUNT_BIT) != 0, binding.stageFlags};
+    if (binding.descriptorType == VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER_DYNAMIC ||
+        binding.descriptorType == VK_DESCRIPTOR_TYPE_STORAGE_BUFFER_DYNAMIC)
+      layout.has_dynamic = true;
     if (binding.descriptorType != VK_DESCRIPTOR_TYPE_TENSOR_ARM) continue;
     layout.has_tensors = true;
     if (own & VK_DESCRIPTOR_BINDING_UPDATE_AFTER_BIND_BIT) layout.update_after_bind = true;
   }
   return layout;
+}
+
+/// As PipelineLayout has it; empty where the device or the layout does not allow it.
+vk::PipelineLayoutHandle layout_with_flow(const Device& device,
+                                          const VkPipelineLayoutCreateInfo& info,
+                                          const PipelineLayout& layout) {
+  const auto fits = [](const std::shared_ptr<SetLayout>& set) {
+    return set && !set->in_descriptor_buffer && !set->is_pushed && !set->has_dynamic;
+  };
+  if (!device.optical_flow || info.pushConstantRangeCount > 0 ||
+      info.setLayoutCount >= device.physical->limits.maxBoundDescriptorSets ||
+      !std::all_of(layout.sets.begin(), layout.sets.end(), fits))
+    return {};
+  std::vector<VkDescriptorSetLayout> sets(info.pSetLayouts, info.pSetLayouts + info.setLayoutCount);
+  sets.push_back(device.flow_set_layout.get());
+  VkPipelineLayoutCreateInfo more = info;
+  more.setLayoutCount = static_cast<uint32_t>(sets.size());
+  more.pSetLayouts = sets.data();
+  VkPipelineLayout made = VK_NULL_HANDLE;
+  if (device.CreatePipelineLayout(device.handle, &more, nullptr, &made) != VK_SUCCESS) return {};
+  return vk::PipelineLayoutHandle(device.handle, made, device.DestroyPipelineLayout);
 }
 
 void forget_sets(Device& device, Pool& pool) {
@@ -97,7 +129,7 @@ void forget_sets(Device& device, Pool& pool) {
 uint32_t SetLayout::varying_scale(const Device& device) const {
   for (const auto& [number, binding] : bindings)
     if (binding.varies && binding.type == VK_DESCRIPTOR_TYPE_TENSOR_ARM)
-      return device.tensor_shaders ? kBuffersOfTensor : 0;
+      return device.tensor_buffers ? kBuffersOfTensor : 0;
   return 1;
 }
 
@@ -107,7 +139,8 @@ Set::Set(const SetLayout& layout, uint32_t varying) : update_after_bind(layout.u
       tensors[number].resize(binding.varies ? std::min(varying, binding.count) : binding.count);
 }
 
-SplitWrites::SplitWrites(std::span<const VkWriteDescriptorSet> writes, const SetOf& set_of) {
+SplitWrites::SplitWrites(const Device& device, std::span<const VkWriteDescriptorSet> writes,
+                         const SetOf& set_of) {
   for (const VkWriteDescriptorSet& write : writes) {
     if (write.descriptorType != VK_DESCRIPTOR_TYPE_TENSOR_ARM) {
       below_.push_back(write);
@@ -123,12 +156,15 @@ SplitWrites::SplitWrites(std::span<const VkWriteDescriptorSet> writes, const Set
     for (uint32_t i = 0; i < count && (!set || settle(set->tensors, binding, element));
          ++i, ++element) {
       const VkTensorViewARM view = list->pTensorViews ? list->pTensorViews[i] : VK_NULL_HANDLE;
-      const Tensor* tensor = view ? view_of(view)->tensor : nullptr;
-      if (set) set->tensors[binding][element] = tensor;
-      if (!tensor || !tensor->shape.buffer) continue;
-      const auto& buffers = buffers_.emplace_back(std::vector<VkDescriptorBufferInfo>{
-          {tensor->buffer, 0, VK_WHOLE_SIZE},
-          {tensor->shape.buffer, tensor->shape.offset, kShapeWords * sizeof(uint32_t)}});
+      const Tensor* tensor = view ? device.tensors_by_id.find(view_of(view)->tensor) : nullptr;
+      if (set) set->tensors[binding][element] = tensor ? tensor->id : 0;
+      if (!device.tensor_buffers || (!tensor && !device.null_descriptors)) continue;
+      constexpr VkDescriptorBufferInfo kNone{VK_NULL_HANDLE, 0, VK_WHOLE_SIZE};
+      const auto& buffers = buffers_.emplace_back(
+          tensor ? std::vector<VkDescriptorBufferInfo>{{tensor->buffer, 0, VK_WHOLE_SIZE},
+                                                       {tensor->shape.buffer, tensor->shape.offset,
+                                                        kShapeWords * sizeof(uint32_t)}}
+                 : std::vector<VkDescriptorBufferInfo>{kNone, kNone});
       VkWriteDescriptorSet below = write;
       below.pNext = nullptr;
       below.dstBinding = binding;
@@ -258,13 +294,27 @@ VkResult VKAPI_CALL CreatePipelineLayout(VkDevice handle, const VkPipelineLayout
                                          VkPipelineLayout* result) {
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
-    const VkResult created = device.CreatePipelineLayout(handle, info, allocator, result);
-    if (created != VK_SUCCESS) return created;
     auto layout = std::make_shared<PipelineLayout>();
+    VkResult created = device.CreatePipelineLayout(handle, info, allocator, result);
+    if (created != VK_SUCCESS) return created;
     for (uint32_t i = 0; i < info->setLayoutCount; ++i)
       layout->sets.push_back(info->pSetLayouts[i] ? device.set_layouts.find(info->pSetLayouts[i])
                                                   : nullptr);
     layout->has_push_constants = info->pushConstantRangeCount > 0;
+    const bool in_buffers = std::any_of(
+        layout->sets.begin(), layout->sets.end(),
+        [](const auto& set) { return set && set->has_tensors && set->in_descriptor_buffer; });
+    if (device.descriptor_buffers && in_buffers) {
+      VkPipelineLayout own = VK_NULL_HANDLE;
+      created = device.CreatePipelineLayout(handle, info, nullptr, &own);
+      if (created != VK_SUCCESS) {
+        device.DestroyPipelineLayout(handle, *result, allocator);
+        *result = VK_NULL_HANDLE;
+        return created;
+      }
+      layout->own = vk::PipelineLayoutHandle(handle, own, device.DestroyPipelineLayout);
+    }
+    layout->with_flow = layout_with_flow(device, *info, *layout);
     device.layouts.put(*result, std::move(layout));
     return VK_SUCCESS;
   });
@@ -288,7 +338,7 @@ VkResult VKAPI_CALL CreateDescriptorPool(VkDevice handle, const VkDescriptorPool
     for (uint32_t i = 0; i < info->poolSizeCount; ++i)
       if (info->pPoolSizes[i].type != VK_DESCRIPTOR_TYPE_TENSOR_ARM)
         sizes.push_back(info->pPoolSizes[i]);
-      else if (device.tensor_shaders)
+      else if (device.tensor_buffers)
         sizes.push_back({VK_DESCRIPTOR_TYPE_STORAGE_BUFFER,
                          kBuffersOfTensor * info->pPoolSizes[i].descriptorCount});
     // A pool must offer something.
@@ -379,7 +429,7 @@ void VKAPI_CALL UpdateDescriptorSets(VkDevice handle, uint32_t write_count,
     std::vector<VkCopyDescriptorSet> copies_below;
     const std::span<const VkWriteDescriptorSet> all(writes, write_count);
     std::vector<std::shared_ptr<Set>> held;
-    const SplitWrites split(all, [&](const VkWriteDescriptorSet& write) {
+    const SplitWrites split(device, all, [&](const VkWriteDescriptorSet& write) {
       return held.emplace_back(device.sets.find(write.dstSet)).get();
     });
     for (const VkCopyDescriptorSet& copy : std::span(copies, copy_count))
@@ -437,6 +487,78 @@ void VKAPI_CALL UpdateDescriptorSetWithTemplate(VkDevice handle, VkDescriptorSet
     const TemplateWrites writes(*update, set, data);
     UpdateDescriptorSets(handle, static_cast<uint32_t>(writes.writes().size()),
                          writes.writes().data(), 0, nullptr);
+  });
+}
+
+/// A tensor's descriptor is those of its two buffers, one behind the other.
+static Result<void> write_tensor_descriptor(const Device& device,
+                                            const VkDescriptorGetInfoEXT& info, size_t bytes,
+                                            void* result) {
+  const size_t each = device.physical->storage_descriptor_bytes;
+  const auto* of = find_in_chain<VkDescriptorGetTensorInfoARM>(
+      info.pNext, VK_STRUCTURE_TYPE_DESCRIPTOR_GET_TENSOR_INFO_ARM);
+  if (!device.descriptor_buffers)
+    return bad_input("vkGetDescriptorEXT", "descriptorBufferTensorDescriptors is not enabled");
+  if (!of) return bad_input("vkGetDescriptorEXT", "has no VkDescriptorGetTensorInfoARM");
+  if (bytes < kBuffersOfTensor * each)
+    return bad_input("vkGetDescriptorEXT", "has {} bytes for a tensor, expected {}", bytes,
+                     kBuffersOfTensor * each);
+  VkDescriptorAddressInfoEXT buffers[kBuffersOfTensor]{};
+  if (of->tensorView) {
+    const Tensor* found = device.tensors_by_id.find(view_of(of->tensorView)->tensor);
+    if (!found) return bad_input("vkGetDescriptorEXT", "the view's tensor was destroyed");
+    const Tensor& tensor = *found;
+    const auto address = [&](VkBuffer buffer) {
+      VkBufferDeviceAddressInfo which{};
+      which.sType = VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO;
+      which.buffer = buffer;
+      return device.GetBufferDeviceAddress(device.handle, &which);
+    };
+    buffers[0].address = address(tensor.buffer);
+    buffers[0].range = tensor.layout.buffer_bytes();
+    buffers[1].address = address(tensor.shape.buffer) + tensor.shape.offset;
+    buffers[1].range = kShapeWords * sizeof(uint32_t);
+  }
+  for (uint32_t i = 0; i < kBuffersOfTensor; ++i) {
+    buffers[i].sType = VK_STRUCTURE_TYPE_DESCRIPTOR_ADDRESS_INFO_EXT;
+    VkDescriptorGetInfoEXT below{};
+    below.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_GET_INFO_EXT;
+    below.type = VK_DESCRIPTOR_TYPE_STORAGE_BUFFER;
+    below.data.pStorageBuffer = of->tensorView ? &buffers[i] : nullptr;
+    device.GetDescriptorEXT(device.handle, &below, each, static_cast<char*>(result) + i * each);
+  }
+  return {};
+}
+
+void VKAPI_CALL GetDescriptorEXT(VkDevice handle, const VkDescriptorGetInfoEXT* info, size_t bytes,
+                                 void* result) {
+  guarded_void([&] {
+    Device& device = device_of(handle);
+    VkDescriptorGetInfoEXT below = *info;
+    VkDescriptorImageInfo image;
+    const auto known_below = [&](const VkDescriptorImageInfo*& member) {
+      if (!member) return;
+      image = *member;
+      image.imageLayout = layout_below(image.imageLayout);
+      member = &image;
+    };
+    switch (static_cast<int>(info->type)) {
+      case static_cast<int>(VK_DESCRIPTOR_TYPE_TENSOR_ARM):
+        if (const Result<void> written = write_tensor_descriptor(device, *info, bytes, result);
+            !written)
+          device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), written.error());
+        return;
+      case VK_DESCRIPTOR_TYPE_COMBINED_IMAGE_SAMPLER:
+        known_below(below.data.pCombinedImageSampler);
+        break;
+      case VK_DESCRIPTOR_TYPE_INPUT_ATTACHMENT:
+        known_below(below.data.pInputAttachmentImage);
+        break;
+      case VK_DESCRIPTOR_TYPE_SAMPLED_IMAGE: known_below(below.data.pSampledImage); break;
+      case VK_DESCRIPTOR_TYPE_STORAGE_IMAGE: known_below(below.data.pStorageImage); break;
+      default: break;
+    }
+    device.GetDescriptorEXT(handle, &below, bytes, result);
   });
 }
 

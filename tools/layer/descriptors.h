@@ -17,10 +17,14 @@ struct SetLayout {
     VkDescriptorType type = VK_DESCRIPTOR_TYPE_SAMPLER;
     uint32_t count = 0;
     bool varies = false;  ///< each set has a count of its own, up to this one
+    VkShaderStageFlags stages = 0;
   };
   std::map<uint32_t, Binding> bindings;  ///< by number
   bool has_tensors = false;
   bool update_after_bind = false;  ///< tensors may be written when the set is bound
+  bool in_descriptor_buffer = false;
+  bool is_pushed = false;
+  bool has_dynamic = false;  ///< buffers with dynamic offsets
 
   /// How many descriptors the device below has for one whose count varies, of a tensor or of others.
   uint32_t varying_scale(const Device& device) const;
@@ -29,11 +33,15 @@ struct SetLayout {
 struct PipelineLayout {
   std::vector<std::shared_ptr<SetLayout>> sets;
   bool has_push_constants = false;
+  /// The same layout as long as graph pipelines need it; there if its sets lie in descriptor buffers.
+  vk::PipelineLayoutHandle own;
+  /// The same with Device::flow_set_layout behind its sets; there if optical flow can use it.
+  vk::PipelineLayoutHandle with_flow;
 };
 
-/// The tensor descriptors of a set; null where none was written.
+/// The tensor descriptors of a set, as ids; 0 where none was written.
 struct Set {
-  std::map<uint32_t, std::vector<const Tensor*>> tensors;  ///< by binding, then element
+  std::map<uint32_t, std::vector<uint64_t>> tensors;  ///< by binding, then element
   bool update_after_bind = false;
 
   Set() = default;
@@ -58,7 +66,8 @@ struct UpdateTemplate {
 class SplitWrites {
  public:
   using SetOf = std::function<Set*(const VkWriteDescriptorSet&)>;
-  SplitWrites(std::span<const VkWriteDescriptorSet> writes, const SetOf& set_of);
+  SplitWrites(const Device& device, std::span<const VkWriteDescriptorSet> writes,
+              const SetOf& set_of);
   std::span<const VkWriteDescriptorSet> below() const { return below_; }
 
  private:

@@ -1,5 +1,7 @@
 #include "tools/layer/device_features.h"
 
+#include <algorithm>
+
 #include "tools/layer/extensions.h"
 
 namespace shale::layer {
@@ -57,10 +59,28 @@ Result<void> check_features(const Physical& physical, const VkDeviceCreateInfo& 
       physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM,
       &VkPhysicalDeviceDataGraphFeaturesARM::dataGraphShaderModule,
       "VkPhysicalDeviceDataGraphFeaturesARM"));
+  SHALE_TRY_VOID(check_feature_struct<VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM>(
+      physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_OPTICAL_FLOW_FEATURES_ARM,
+      &VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM::dataGraphOpticalFlow,
+      "VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM"));
   return check_feature_struct<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
       physical, info, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM,
       &VkPhysicalDeviceDescriptorBufferTensorFeaturesARM::descriptorBufferTensorDescriptors,
       "VkPhysicalDeviceDescriptorBufferTensorFeaturesARM");
+}
+
+bool asks_descriptor_buffers(const VkDeviceCreateInfo& info) {
+  const auto* tensors = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
+      info.pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM);
+  const auto* graphs = find_in_chain<VkPhysicalDeviceDataGraphFeaturesARM>(
+      info.pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_FEATURES_ARM);
+  const bool has_buffers =
+      std::any_of(info.ppEnabledExtensionNames,
+                  info.ppEnabledExtensionNames + info.enabledExtensionCount, [](const char* name) {
+                    return std::string_view(name) == VK_EXT_DESCRIPTOR_BUFFER_EXTENSION_NAME;
+                  });
+  return has_buffers && ((tensors && tensors->descriptorBufferTensorDescriptors) ||
+                         (graphs && graphs->dataGraphDescriptorBuffer));
 }
 
 void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
@@ -74,6 +94,10 @@ void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
     info.pEnabledFeatures = &features;
   }
   if (physical.dynamic_indexing) base->shaderStorageBufferArrayDynamicIndexing = VK_TRUE;
+  if (const auto* flow = find_in_chain<VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM>(
+          info.pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_OPTICAL_FLOW_FEATURES_ARM);
+      flow && flow->dataGraphOpticalFlow)
+    base->shaderStorageImageExtendedFormats = VK_TRUE;
   const FeatureSet supported = physical.caps.features;
   const auto has = [&](Feature feature) { return supported.has(feature); };
   if (has(Feature::kInt16)) base->shaderInt16 = VK_TRUE;
@@ -115,6 +139,17 @@ void add_kernel_features(const Physical& physical, VkDeviceCreateInfo& info,
     turn_on_12(
         &VkPhysicalDeviceVulkan12Features::descriptorBindingStorageBufferUpdateAfterBind, kIndexing,
         &VkPhysicalDeviceDescriptorIndexingFeatures::descriptorBindingStorageBufferUpdateAfterBind);
+  // Descriptors that lie in buffers name memory by its address.
+  if (asks_descriptor_buffers(info)) {
+    turn_on_12(&VkPhysicalDeviceVulkan12Features::bufferDeviceAddress,
+               VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_BUFFER_DEVICE_ADDRESS_FEATURES,
+               &VkPhysicalDeviceBufferDeviceAddressFeatures::bufferDeviceAddress);
+    constexpr VkStructureType kType =
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_FEATURES_EXT;
+    auto* buffers = chain.find<VkPhysicalDeviceDescriptorBufferFeaturesEXT>(kType);
+    if (!buffers) buffers = &chain.add<VkPhysicalDeviceDescriptorBufferFeaturesEXT>(kType);
+    buffers->descriptorBuffer = VK_TRUE;
+  }
   if (has(Feature::kInt8))
     turn_on_12(&VkPhysicalDeviceVulkan12Features::shaderInt8,
                VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_FLOAT16_INT8_FEATURES,

@@ -9,6 +9,9 @@ namespace shale::layer {
 /// Errors: kUnsupported, naming a feature of the layer's extensions that is asked for and not there.
 Result<void> check_features(const Physical& physical, const VkDeviceCreateInfo& info);
 
+/// True if tensors may lie in descriptor buffers, of shaders or of graphs.
+bool asks_descriptor_buffers(const VkDeviceCreateInfo& info);
+
 /// Turns on what kernels may use and the device has: in the structures that the application chained,
 /// of which `chain` is a copy, or in new ones, never in both. `features` is where those of Vulkan 1.0 go
 /// if the application gave them beside the chain, or not at all.

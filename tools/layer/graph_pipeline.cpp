@@ -17,7 +17,8 @@ constexpr VkPipelineCreateFlags2 kFailOnCompileRequired =
     VK_PIPELINE_CREATE_FAIL_ON_PIPELINE_COMPILE_REQUIRED_BIT;
 constexpr VkPipelineCreateFlags2 kEarlyReturn = VK_PIPELINE_CREATE_EARLY_RETURN_ON_FAILURE_BIT;
 constexpr VkPipelineCreateFlags2 kNoProtectedAccess = VkPipelineCreateFlags2{1} << 27;
-constexpr VkPipelineCreateFlags2 kKnownFlags = kFailOnCompileRequired | kEarlyReturn |
+constexpr VkPipelineCreateFlags2 kInBuffers = VK_PIPELINE_CREATE_DESCRIPTOR_BUFFER_BIT_EXT;
+constexpr VkPipelineCreateFlags2 kKnownFlags = kFailOnCompileRequired | kEarlyReturn | kInBuffers |
                                                kNoProtectedAccess |
                                                VK_PIPELINE_CREATE_DISABLE_OPTIMIZATION_BIT;
 
@@ -35,7 +36,8 @@ class Creation {
     Result<std::unique_ptr<GraphPipeline>> pipeline = make();
     const std::chrono::duration<double, std::nano> took = std::chrono::steady_clock::now() - start;
     if (const auto* feedback = find_in_chain<VkPipelineCreationFeedbackCreateInfo>(
-            info_.pNext, VK_STRUCTURE_TYPE_PIPELINE_CREATION_FEEDBACK_CREATE_INFO)) {
+            info_.pNext, VK_STRUCTURE_TYPE_PIPELINE_CREATION_FEEDBACK_CREATE_INFO);
+        feedback && feedback->pPipelineCreationFeedback) {
       VkPipelineCreationFeedbackFlags flags = VK_PIPELINE_CREATION_FEEDBACK_VALID_BIT;
       if (hit_) flags |= VK_PIPELINE_CREATION_FEEDBACK_APPLICATION_PIPELINE_CACHE_HIT_BIT;
       *feedback->pPipelineCreationFeedback = {flags, static_cast<uint64_t>(took.count())};
@@ -49,13 +51,17 @@ class Creation {
       return unsupported("VkDataGraphPipelineCreateInfoARM::flags", "{:#x} has unsupported bits",
                          info_.flags);
     SHALE_TRY_VOID(check_engines());
+    SHALE_TRY_VOID(check_layout());
     const auto* module = find_in_chain<VkDataGraphPipelineShaderModuleCreateInfoARM>(
         info_.pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SHADER_MODULE_CREATE_INFO_ARM);
     const auto* named = find_in_chain<VkDataGraphPipelineIdentifierCreateInfoARM>(
         info_.pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_IDENTIFIER_CREATE_INFO_ARM);
-    if (!module == !named)
+    const auto* node = find_in_chain<VkDataGraphPipelineSingleNodeCreateInfoARM>(
+        info_.pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_PIPELINE_SINGLE_NODE_CREATE_INFO_ARM);
+    if ((module ? 1 : 0) + (named ? 1 : 0) + (node ? 1 : 0) != 1)
       return bad_input("VkDataGraphPipelineCreateInfoARM",
-                       "expected either a shader module or an identifier in its chain");
+                       "expected either a shader module, an identifier or a node in its chain");
+    if (node) return from_node(*node);
     if (named) return from_identifier(*named);
     SHALE_TRY(const GraphSource source, read_source(device_, info_, *module));
     const Identifier identifier = identify(device_, source);
@@ -79,6 +85,22 @@ class Creation {
     keep(identifier, bytes);
     if (device_.disk_cache) device_.disk_cache->store(identifier, *bytes);
     return pipeline;
+  }
+
+  /// The layout's sets lie in descriptor buffers, or none does, as the flags say.
+  Result<void> check_layout() const {
+    const auto layout = device_.layouts.find(info_.layout);
+    for (size_t i = 0; layout && i < layout->sets.size(); ++i)
+      if (const auto& set = layout->sets[i];
+          set && set->has_tensors && set->in_descriptor_buffer != bool(info_.flags & kInBuffers))
+        return bad_input("VkDataGraphPipelineCreateInfoARM::flags",
+                         "set {} {} in a descriptor buffer, the pipeline's {}", i,
+                         set->in_descriptor_buffer ? "lies" : "does not lie",
+                         set->in_descriptor_buffer ? "do not" : "do");
+    if (info_.flags & kInBuffers && !(layout && layout->own))
+      return bad_input("VkDataGraphPipelineCreateInfoARM::flags",
+                       "the layout has no tensors in descriptor buffers");
+    return {};
   }
 
   Result<void> check_engines() const {
@@ -108,6 +130,19 @@ class Creation {
     if (!bytes) return std::unique_ptr<GraphPipeline>();
     hit_ = true;
     return from_bytes(*bytes, identifier);
+  }
+
+  Result<std::unique_ptr<GraphPipeline>> from_node(
+      const VkDataGraphPipelineSingleNodeCreateInfoARM& node) {
+    SHALE_TRY(const FlowSource source, read_flow(device_, info_, node));
+    if (info_.flags & kFailOnCompileRequired) return std::unique_ptr<GraphPipeline>();
+    VkPipelineCache cache = cache_handle_;
+    if (!cache && device_.disk_cache) cache = device_.disk_cache->pipelines();
+    auto pipeline = std::make_unique<GraphPipeline>();
+    SHALE_TRY(pipeline->flow,
+              OpticalFlow::create(device_, source, device_.layouts.find(info_.layout), cache));
+    pipeline->log = "optical flow\n";
+    return pipeline;
   }
 
   std::shared_ptr<const std::vector<uint8_t>> find(const Identifier& identifier) const {
@@ -156,8 +191,14 @@ class Creation {
         SHALE_TRY(copies[i],
                   StridedCopy::create(*device_.context, each.layout, !each.is_input, cache));
       }
-    return std::unique_ptr<GraphPipeline>(new GraphPipeline{
-        std::move(pipeline), std::move(tensors), identifier, {}, std::move(copies)});
+    return std::unique_ptr<GraphPipeline>(
+        new GraphPipeline{std::move(pipeline),
+                          std::move(tensors),
+                          identifier,
+                          {},
+                          std::move(copies),
+                          info_.flags & kInBuffers ? layout : nullptr,
+                          nullptr});
   }
 
   Device& device_;
@@ -189,7 +230,7 @@ VkResult VKAPI_CALL CreateShaderModule(VkDevice handle, const VkShaderModuleCrea
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
     const std::span<const uint32_t> words(info->pCode, info->codeSize / sizeof(uint32_t));
-    if (device.tensor_shaders && has_tensors(words)) {
+    if (device.tensor_buffers && has_tensors(words)) {
       const Result<std::vector<uint32_t>> lowered = lower_tensors(words);
       if (!lowered) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), lowered.error());
       VkShaderModuleCreateInfo below = *info;
@@ -233,9 +274,11 @@ VkResult VKAPI_CALL CreateDataGraphPipelinesARM(VkDevice handle, VkDeferredOpera
         if (!pipeline)
           return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), pipeline.error());
         if (!*pipeline) return VK_PIPELINE_COMPILE_REQUIRED;
-        GraphPipeline* object = make_object<GraphPipeline>(allocator, std::move(**pipeline));
-        results[i] = reinterpret_cast<VkPipeline>(object);
-        device.pipelines.put(results[i], object);
+        // What is behind the handle is shared with sessions, which may outlive it.
+        std::shared_ptr<GraphPipeline> shared = *std::move(pipeline);
+        results[i] = reinterpret_cast<VkPipeline>(
+            make_object<std::shared_ptr<GraphPipeline>>(allocator, shared));
+        device.pipelines.put(results[i], std::move(shared));
         return VK_SUCCESS;
       });
       // An error counts for more than what has still to be compiled.
@@ -250,8 +293,8 @@ void VKAPI_CALL DestroyPipeline(VkDevice handle, VkPipeline pipeline,
                                 const VkAllocationCallbacks* allocator) {
   guarded_void([&] {
     Device& device = device_of(handle);
-    if (GraphPipeline* graph = device.pipelines.take(pipeline))
-      destroy_object(graph, allocator);
+    if (device.pipelines.take(pipeline))
+      destroy_object(reinterpret_cast<std::shared_ptr<GraphPipeline>*>(pipeline), allocator);
     else
       device.DestroyPipeline(handle, pipeline, allocator);
   });
@@ -278,7 +321,7 @@ VkResult VKAPI_CALL GetDataGraphPipelinePropertiesARM(
     VkDataGraphPipelinePropertyQueryResultARM* results) {
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
-    const GraphPipeline* pipeline = device.pipelines.find(info->dataGraphPipeline);
+    const auto pipeline = device.pipelines.find(info->dataGraphPipeline);
     if (!pipeline)
       return device.fail(VK_OBJECT_TYPE_PIPELINE, number_of(info->dataGraphPipeline),
                          bad_input("vkGetDataGraphPipelinePropertiesARM", "is no data graph"));

@@ -12,6 +12,7 @@
 #include "tools/layer/disk_cache.h"
 #include "tools/layer/extensions.h"
 #include "tools/layer/graph.h"
+#include "tools/layer/optical_flow.h"
 #include "tools/layer/tensor.h"
 
 namespace shale::layer {
@@ -316,12 +317,27 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
         known.lends_deferred && enables(*info, VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
     const auto* asked = find_in_chain<VkPhysicalDeviceTensorFeaturesARM>(
         info->pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_TENSOR_FEATURES_ARM);
-    data->tensor_shaders = tensors && asked && asked->shaderTensorAccess;
+    data->descriptor_buffers = asks_descriptor_buffers(*info);
+    data->tensor_buffers =
+        tensors && ((asked && asked->shaderTensorAccess) || data->descriptor_buffers);
+    const auto* robustness = find_in_chain<VkPhysicalDeviceRobustness2FeaturesEXT>(
+        info->pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ROBUSTNESS_2_FEATURES_EXT);
+    data->null_descriptors = robustness && robustness->nullDescriptor;
     const auto find = [&](const char* name) { return next(*result, name); };
 #define SHALE_DEVICE_HOOK(name) load(data->name, find("vk" #name));
 #include "tools/layer/hooks.def"
     load(data->GetImageSubresourceLayout, find("vkGetImageSubresourceLayout"));
     load(data->CmdBindIndexBuffer, find("vkCmdBindIndexBuffer"));
+    load(data->GetBufferDeviceAddress, find("vkGetBufferDeviceAddress"));
+    // Since Vulkan 1.4 these are the device's own, and the extension need not be enabled.
+    const auto load_core = [&](auto& function, const char* name) {
+      if (!function) load(function, find(name));
+    };
+    load_core(data->CmdPushDescriptorSetKHR, "vkCmdPushDescriptorSet");
+    load_core(data->CmdPushDescriptorSetWithTemplateKHR, "vkCmdPushDescriptorSetWithTemplate");
+    load_core(data->CmdBindDescriptorSets2KHR, "vkCmdBindDescriptorSets2");
+    load_core(data->CmdPushDescriptorSet2KHR, "vkCmdPushDescriptorSet2");
+    load_core(data->CmdPushDescriptorSetWithTemplate2KHR, "vkCmdPushDescriptorSetWithTemplate2");
     if (tensors || graphs) {
       if (const Result<void> opened = open_context(*data, below); !opened) {
         const VkResult failed =
@@ -330,7 +346,21 @@ VkResult VKAPI_CALL CreateDevice(VkPhysicalDevice physical, const VkDeviceCreate
         return failed;
       }
       data->disk_cache = DiskCache::open(*data);
-      if (data->tensor_shaders) data->shapes = std::make_unique<ShapeSlots>(*data);
+      const auto* flow = find_in_chain<VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM>(
+          info->pNext, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_OPTICAL_FLOW_FEATURES_ARM);
+      if (graphs && flow && flow->dataGraphOpticalFlow &&
+          enables(*info, VK_ARM_DATA_GRAPH_OPTICAL_FLOW_EXTENSION_NAME)) {
+        auto sets = create_flow_set_layout(*data);
+        if (!sets) {
+          const VkResult failed =
+              data->fail(VK_OBJECT_TYPE_DEVICE, number_of(*result), sets.error());
+          data->DestroyDevice(*result, allocator);
+          return failed;
+        }
+        data->flow_set_layout = *std::move(sets);
+        data->optical_flow = true;
+      }
+      if (data->tensor_buffers) data->shapes = std::make_unique<ShapeSlots>(*data);
     }
     handles().devices.put(dispatch_key(*result), std::move(data));
     return VK_SUCCESS;
@@ -342,10 +372,20 @@ void VKAPI_CALL DestroyDevice(VkDevice device, const VkAllocationCallbacks* allo
   guarded_void([&] {
     const auto data = handles().devices.take(dispatch_key(device));
     if (!data) return;
+    // Threads may still compile for what the application forgot, and waiting for them here, where the
+    // loader holds its lock, would be for ever.
+    if (!data->pipelines.empty() || !data->sessions.empty()) {
+      data->error(VK_OBJECT_TYPE_DEVICE, number_of(device),
+                  "vkDestroyDevice: graph pipelines or sessions are left, so the device stays");
+      new std::shared_ptr<Device>(data);  // never destroyed
+      return;
+    }
     data->disk_cache.reset();
     data->shapes.reset();
     data->commands.clear();
     data->late.clear();
+    data->layouts.clear();
+    data->flow_set_layout = {};
     data->DestroyDevice(device, allocator);
   });
 }

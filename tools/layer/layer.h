@@ -23,6 +23,7 @@
 #include "ir/base/result.h"
 #include "ir/package/caps.h"
 #include "runtime/vk/device.h"
+#include "runtime/vk/handle.h"
 #include "tools/layer/arm_vulkan.h"
 
 namespace shale::layer {
@@ -105,6 +106,10 @@ class Registry {
     const std::unique_lock lock(mutex_);
     values_.clear();
   }
+  bool empty() const {
+    const std::shared_lock lock(mutex_);
+    return values_.empty();
+  }
 
  private:
   mutable std::shared_mutex mutex_;
@@ -120,6 +125,9 @@ struct Physical {
   /// VK_KHR_maintenance5, VK_KHR_deferred_host_operations: the layer serves and the device has them not.
   bool lends_maintenance5 = false, lends_deferred = false;
   bool dynamic_indexing = false;  ///< shaderStorageBufferArrayDynamicIndexing
+  /// Bytes of a storage buffer's descriptor, robust or not; 0 if tensors cannot be in descriptor buffers.
+  size_t storage_descriptor_bytes = 0;
+  bool optical_flow = false;  ///< shaders may write the formats of its images
   VkPhysicalDeviceVulkan12Features features12{};
   VkPhysicalDeviceVulkan12Properties properties12{};
   DeviceCaps caps;
@@ -174,13 +182,18 @@ struct Device {
   Instance* instance = nullptr;
   const Physical* physical = nullptr;
   PFN_vkGetDeviceProcAddr next = nullptr;
-  bool tensors = false, graphs = false;         ///< which extension the application enabled
-  bool tensor_shaders = false;                  ///< it enabled shaderTensorAccess
+  bool tensors = false, graphs = false;  ///< which extension the application enabled
+  /// Sets below have the buffers of tensors: it enabled shaderTensorAccess or `descriptor_buffers`.
+  bool tensor_buffers = false;
+  bool descriptor_buffers = false;  ///< it enabled those of tensors, for shaders or graphs
+  bool null_descriptors = false;    ///< it enabled nullDescriptor
+  bool optical_flow = false;        ///< it enabled dataGraphOpticalFlow
   bool maintenance5 = false, deferred = false;  ///< it enabled what the layer lends
 #define SHALE_DEVICE_HOOK(name) PFN_vk##name name = nullptr;
 #include "tools/layer/hooks.def"
   PFN_vkGetImageSubresourceLayout GetImageSubresourceLayout = nullptr;
   PFN_vkCmdBindIndexBuffer CmdBindIndexBuffer = nullptr;
+  PFN_vkGetBufferDeviceAddress GetBufferDeviceAddress = nullptr;
   /// For the runtime; there if `tensors` or `graphs`.
   std::optional<vk::Context> context;
 
@@ -195,7 +208,9 @@ struct Device {
   Registry<VkCommandPool, std::shared_ptr<std::set<VkCommandBuffer>>> command_pools;
   Registry<VkShaderModule, std::shared_ptr<GraphModule>> modules;
   Registry<VkPipelineCache, std::shared_ptr<GraphCache>> caches;
-  Registry<VkPipeline, GraphPipeline*> pipelines;
+  /// A handle is the address of another pointer to it (graph_pipeline.cpp).
+  Registry<VkPipeline, std::shared_ptr<GraphPipeline>> pipelines;
+  Registry<uint64_t, const Tensor*> tensors_by_id;  ///< those that there are
   /// What maintenance5 leaves out of commands; kept where it is lent.
   Registry<VkImage, uint32_t> image_layers;
   Registry<VkBuffer, VkDeviceSize> buffer_sizes;
@@ -203,7 +218,8 @@ struct Device {
   std::set<GraphSession*> sessions;
   std::map<std::pair<VkPrivateDataSlot, uint64_t>, uint64_t> private_data;
   std::unique_ptr<DiskCache> disk_cache;  ///< null without one
-  std::unique_ptr<ShapeSlots> shapes;     ///< null without tensor_shaders
+  std::unique_ptr<ShapeSlots> shapes;     ///< null without tensor_buffers
+  vk::SetLayoutHandle flow_set_layout;    ///< of sessions; there with optical_flow
 
   void error(VkObjectType type, uint64_t object, const std::string& text) {
     instance->report(VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT, type, object, text);

@@ -99,7 +99,7 @@ class PipelinesBelow {
         stage.pNext, VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO);
     if (stage.module || !code) return VK_SUCCESS;
     const std::span<const uint32_t> words(code->pCode, code->codeSize / sizeof(uint32_t));
-    if (!device_.maintenance5 && !(device_.tensor_shaders && has_tensors(words)))
+    if (!device_.maintenance5 && !(device_.tensor_buffers && has_tensors(words)))
       return VK_SUCCESS;  // the device takes it as it is
     VkShaderModuleCreateInfo info = *code;
     info.pNext = nullptr;

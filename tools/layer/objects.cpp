@@ -49,9 +49,20 @@ VkResult VKAPI_CALL AllocateMemory(VkDevice handle, const VkMemoryAllocateInfo* 
     Device& device = device_of(handle);
     const auto* dedicated = find_in_chain<VkMemoryDedicatedAllocateInfoTensorARM>(
         info->pNext, VK_STRUCTURE_TYPE_MEMORY_DEDICATED_ALLOCATE_INFO_TENSOR_ARM);
-    if (!dedicated) return device.AllocateMemory(handle, info, allocator, result);
+    // Any memory may become that of a tensor or session, which descriptors in buffers name by address.
+    const auto* flags = find_in_chain<VkMemoryAllocateFlagsInfo>(
+        info->pNext, VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO);
+    const bool lacks_address = device.descriptor_buffers &&
+                               !(flags && flags->flags & VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT);
+    if (!dedicated && !lacks_address) return device.AllocateMemory(handle, info, allocator, result);
     ChainCopy chain(info->pNext);
-    if (dedicated->tensor)
+    if (lacks_address) {
+      constexpr VkStructureType kType = VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO;
+      auto* own = chain.find<VkMemoryAllocateFlagsInfo>(kType);
+      if (!own) own = &chain.add<VkMemoryAllocateFlagsInfo>(kType);
+      own->flags |= VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
+    }
+    if (dedicated && dedicated->tensor)
       chain.add<VkMemoryDedicatedAllocateInfo>(VK_STRUCTURE_TYPE_MEMORY_DEDICATED_ALLOCATE_INFO)
           .buffer = tensor_of(dedicated->tensor)->buffer;
     VkMemoryAllocateInfo below = *info;
@@ -60,9 +71,14 @@ VkResult VKAPI_CALL AllocateMemory(VkDevice handle, const VkMemoryAllocateInfo* 
   });
 }
 
-/// An image that tensors may be aliased with is linear below.
-static VkImageCreateInfo image_below(const VkImageCreateInfo& info) {
+/// An image that tensors may be aliased with is linear below. What optical flow does with it is in its usage; `chain` is
+/// where the rest of the application's goes.
+static VkImageCreateInfo image_below(const VkImageCreateInfo& info,
+                                     std::optional<ChainCopy>& chain) {
   VkImageCreateInfo below = info;
+  if (find_in_chain<VkDataGraphOpticalFlowImageFormatInfoARM>(
+          info.pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_OPTICAL_FLOW_IMAGE_FORMAT_INFO_ARM))
+    below.pNext = chain.emplace(info.pNext).next();
   if (info.usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
     below.usage &= ~VkImageUsageFlags{VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM};
     below.tiling = VK_IMAGE_TILING_LINEAR;
@@ -74,7 +90,8 @@ VkResult VKAPI_CALL CreateImage(VkDevice handle, const VkImageCreateInfo* info,
                                 const VkAllocationCallbacks* allocator, VkImage* result) {
   return guarded([&]() -> VkResult {
     Device& device = device_of(handle);
-    const VkImageCreateInfo below = image_below(*info);
+    std::optional<ChainCopy> chain;
+    const VkImageCreateInfo below = image_below(*info, chain);
     if (below.tiling != info->tiling) {
       VkImageFormatProperties limits;
       const VkResult allowed = device.instance->GetPhysicalDeviceImageFormatProperties(
@@ -95,7 +112,8 @@ VkResult VKAPI_CALL CreateImage(VkDevice handle, const VkImageCreateInfo* info,
 void VKAPI_CALL GetDeviceImageMemoryRequirements(VkDevice handle,
                                                  const VkDeviceImageMemoryRequirements* info,
                                                  VkMemoryRequirements2* result) {
-  const VkImageCreateInfo image = image_below(*info->pCreateInfo);
+  std::optional<ChainCopy> chain;
+  const VkImageCreateInfo image = image_below(*info->pCreateInfo, chain);
   VkDeviceImageMemoryRequirements below = *info;
   below.pCreateInfo = &image;
   device_of(handle).GetDeviceImageMemoryRequirements(handle, &below, result);

@@ -9,6 +9,7 @@
 #include "ir/verify/verify.h"
 #include "tools/layer/chain.h"
 #include "tools/layer/extensions.h"
+#include "tools/layer/optical_flow.h"
 #include "tools/layer/tensor.h"
 #include "tools/layer/tensor_shader.h"
 
@@ -18,6 +19,9 @@ namespace {
 struct Offer {
   const char* name;
   uint32_t version;
+  bool Physical::*has = nullptr;  ///< what the device must have; nothing if null
+
+  bool on(const Physical& physical) const { return !has || physical.*has; }
 };
 // Each has a row in the manifest too, or the loader refuses it.
 constexpr Offer kOffers[] = {
@@ -25,6 +29,8 @@ constexpr Offer kOffers[] = {
     {VK_ARM_DATA_GRAPH_EXTENSION_NAME, VK_ARM_DATA_GRAPH_SPEC_VERSION},
     {VK_ARM_DATA_GRAPH_INSTRUCTION_SET_TOSA_EXTENSION_NAME,
      VK_ARM_DATA_GRAPH_INSTRUCTION_SET_TOSA_SPEC_VERSION},
+    {VK_ARM_DATA_GRAPH_OPTICAL_FLOW_EXTENSION_NAME, VK_ARM_DATA_GRAPH_OPTICAL_FLOW_SPEC_VERSION,
+     &Physical::optical_flow},
 };
 
 /// What they depend on, lent where the device has it not.
@@ -149,6 +155,28 @@ bool tensor_shaders(const Physical& physical) {
          features.has(Feature::kStorageBuffer16);
 }
 
+/// As Physical has it, of a device with VK_EXT_descriptor_buffer. Which size counts depends on the device's
+/// features, and that of tensors is told before: so both have to be equal.
+size_t storage_descriptor_bytes(const Physical& physical, const vk::Functions& functions) {
+  VkPhysicalDeviceDescriptorBufferFeaturesEXT buffers{};
+  buffers.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_FEATURES_EXT;
+  VkPhysicalDeviceFeatures2 features{};
+  features.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2;
+  features.pNext = &buffers;
+  functions.GetPhysicalDeviceFeatures2(physical.handle, &features);
+  VkPhysicalDeviceDescriptorBufferPropertiesEXT sizes{};
+  sizes.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_PROPERTIES_EXT;
+  VkPhysicalDeviceProperties2 properties{};
+  properties.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
+  properties.pNext = &sizes;
+  functions.GetPhysicalDeviceProperties2(physical.handle, &properties);
+  return buffers.descriptorBuffer && physical.features12.bufferDeviceAddress &&
+                 tensor_shaders(physical) &&
+                 sizes.storageBufferDescriptorSize == sizes.robustStorageBufferDescriptorSize
+             ? sizes.storageBufferDescriptorSize
+             : 0;
+}
+
 /// What tensors can do that have that format.
 VkFormatFeatureFlags2 tensor_features(const Physical& physical, VkFormat format,
                                       VkTensorTilingARM tiling) {
@@ -164,15 +192,34 @@ VkFormatFeatureFlags2 tensor_features(const Physical& physical, VkFormat format,
   return features;
 }
 
+/// What optical flow can do with images of the format.
+VkFormatFeatureFlags2 flow_features(const Physical& physical, VkFormat format) {
+  constexpr std::pair<VkDataGraphOpticalFlowImageUsageFlagsARM, VkFormatFeatureFlags2> kUses[] = {
+      {VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_INPUT_BIT_ARM,
+       VK_FORMAT_FEATURE_2_DATA_GRAPH_OPTICAL_FLOW_IMAGE_BIT_ARM},
+      {VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_OUTPUT_BIT_ARM,
+       VK_FORMAT_FEATURE_2_DATA_GRAPH_OPTICAL_FLOW_VECTOR_BIT_ARM},
+      {VK_DATA_GRAPH_OPTICAL_FLOW_IMAGE_USAGE_COST_BIT_ARM,
+       VK_FORMAT_FEATURE_2_DATA_GRAPH_OPTICAL_FLOW_COST_BIT_ARM}};
+  VkFormatFeatureFlags2 features = 0;
+  for (const auto& [usage, bit] : kUses) {
+    const auto formats = flow_formats(usage);
+    if (physical.optical_flow && std::find(formats.begin(), formats.end(), format) != formats.end())
+      features |= bit;
+  }
+  return features;
+}
+
 }  // namespace
 
 bool offered(const Physical& physical, std::string_view extension) {
-  return physical.serves &&
-         (std::any_of(std::begin(kOffers), std::end(kOffers),
-                      [&](const Offer& offer) { return extension == offer.name; }) ||
-          std::any_of(std::begin(kLent), std::end(kLent), [&](const Lent& lent) {
-            return physical.*lent.lends && extension == lent.offer.name;
-          }));
+  return physical.serves && (std::any_of(std::begin(kOffers), std::end(kOffers),
+                                         [&](const Offer& offer) {
+                                           return extension == offer.name && offer.on(physical);
+                                         }) ||
+                             std::any_of(std::begin(kLent), std::end(kLent), [&](const Lent& lent) {
+                               return physical.*lent.lends && extension == lent.offer.name;
+                             }));
 }
 
 void fill_features(const Physical& physical, void* chain) {
@@ -194,6 +241,7 @@ void fill_features(const Physical& physical, void* chain) {
     clear_body(*graphs);
     graphs->dataGraph = graphs->dataGraphShaderModule = VK_TRUE;
     graphs->dataGraphSpecializationConstants = VK_TRUE;
+    graphs->dataGraphDescriptorBuffer = physical.storage_descriptor_bytes != 0;
     graphs->dataGraphUpdateAfterBind =
         tensor_shaders(physical) &&  // of padded tensors a shader has to hold the elements
         physical.features12.descriptorBindingStorageBufferUpdateAfterBind &&
@@ -201,7 +249,10 @@ void fill_features(const Physical& physical, void* chain) {
   }
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorFeaturesARM>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_FEATURES_ARM))
-    buffers->descriptorBufferTensorDescriptors = VK_FALSE;
+    buffers->descriptorBufferTensorDescriptors = physical.storage_descriptor_bytes != 0;
+  if (auto* flow = find_in_chain<VkPhysicalDeviceDataGraphOpticalFlowFeaturesARM>(
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DATA_GRAPH_OPTICAL_FLOW_FEATURES_ARM))
+    flow->dataGraphOpticalFlow = physical.optical_flow;
   if (auto* lent = find_in_chain<VkPhysicalDeviceMaintenance5FeaturesKHR>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_5_FEATURES_KHR);
       lent && physical.lends_maintenance5)
@@ -237,8 +288,10 @@ void fill_properties(const Physical& physical, void* chain) {
     tensors.shaderTensorSupportedStages = VK_SHADER_STAGE_COMPUTE_BIT;
   }
   if (auto* buffers = find_in_chain<VkPhysicalDeviceDescriptorBufferTensorPropertiesARM>(
-          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_PROPERTIES_ARM))
+          chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DESCRIPTOR_BUFFER_TENSOR_PROPERTIES_ARM)) {
     clear_body(*buffers);
+    buffers->tensorDescriptorSize = kBuffersOfTensor * physical.storage_descriptor_bytes;
+  }
   // What a device does not promise is false.
   if (auto* lent = find_in_chain<VkPhysicalDeviceMaintenance5PropertiesKHR>(
           chain, VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_5_PROPERTIES_KHR);
@@ -276,11 +329,14 @@ const Physical& Instance::physical(VkPhysicalDevice wanted) {
       found->features12.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES;
       functions.GetPhysicalDeviceFeatures2(wanted, &features);
       found->dynamic_indexing = features.features.shaderStorageBufferArrayDynamicIndexing;
+      found->optical_flow = features.features.shaderStorageImageExtendedFormats;
       VkPhysicalDeviceProperties2 more{};
       more.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2;
       more.pNext = &found->properties12;
       found->properties12.sType = VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_PROPERTIES;
       functions.GetPhysicalDeviceProperties2(wanted, &more);
+      if (has_name(extensions, VK_EXT_DESCRIPTOR_BUFFER_EXTENSION_NAME))
+        found->storage_descriptor_bytes = storage_descriptor_bytes(*found, functions);
     }
   }
   slot = std::move(found);
@@ -307,7 +363,8 @@ VkResult VKAPI_CALL EnumerateDeviceExtensionProperties(VkPhysicalDevice physical
       added.specVersion = offer.version;
     };
     if (known.serves) {
-      for (const Offer& offer : kOffers) add(offer);
+      for (const Offer& offer : kOffers)
+        if (offer.on(known)) add(offer);
       for (const Lent& lent : kLent)
         if (known.*lent.lends) add(lent.offer);
     }
@@ -384,8 +441,11 @@ void VKAPI_CALL GetPhysicalDeviceFormatProperties2(VkPhysicalDevice physical, Vk
     // Images that tensors may be aliased with are linear below.
     if (auto* images = find_in_chain<VkFormatProperties3>(properties->pNext,
                                                           VK_STRUCTURE_TYPE_FORMAT_PROPERTIES_3);
-        images && images->linearTilingFeatures != 0)
-      images->optimalTilingFeatures |= VK_FORMAT_FEATURE_2_TENSOR_IMAGE_ALIASING_BIT_ARM;
+        images) {
+      if (images->linearTilingFeatures != 0)
+        images->optimalTilingFeatures |= VK_FORMAT_FEATURE_2_TENSOR_IMAGE_ALIASING_BIT_ARM;
+      images->optimalTilingFeatures |= flow_features(known, format);
+    }
   });
 }
 
@@ -413,6 +473,11 @@ VkResult VKAPI_CALL GetPhysicalDeviceImageFormatProperties2(
     const Physical& known = instance->physical(physical);
     if (known.serves && is_new_format(known, info->format)) return VK_ERROR_FORMAT_NOT_SUPPORTED;
     VkPhysicalDeviceImageFormatInfo2 below = *info;
+    std::optional<ChainCopy> chain;
+    if (known.serves &&
+        find_in_chain<VkDataGraphOpticalFlowImageFormatInfoARM>(
+            info->pNext, VK_STRUCTURE_TYPE_DATA_GRAPH_OPTICAL_FLOW_IMAGE_FORMAT_INFO_ARM))
+      below.pNext = chain.emplace(info->pNext).next();
     if (known.serves && info->usage & VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM) {
       below.usage &= ~VkImageUsageFlags{VK_IMAGE_USAGE_TENSOR_ALIASING_BIT_ARM};
       below.tiling = VK_IMAGE_TILING_LINEAR;
@@ -469,14 +534,17 @@ VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM(
                       instance->GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM))
       return instance->GetPhysicalDeviceQueueFamilyDataGraphPropertiesARM(physical, family, count,
                                                                           results);
-    const uint32_t available = computes(instance->physical(physical), family) ? 1 : 0;
+    constexpr VkPhysicalDeviceDataGraphOperationSupportARM kOperations[] = {
+        {VK_PHYSICAL_DEVICE_DATA_GRAPH_OPERATION_TYPE_SPIRV_EXTENDED_INSTRUCTION_SET_ARM,
+         "TOSA.001000.1", 0},
+        {VK_PHYSICAL_DEVICE_DATA_GRAPH_OPERATION_TYPE_OPTICAL_FLOW_ARM, "OpticalFlow", 1}};
+    const Physical& known = instance->physical(physical);
+    const uint32_t available = !computes(known, family) ? 0 : known.optical_flow ? 2 : 1;
     return enumerate(
-        available, count, results, [](VkQueueFamilyDataGraphPropertiesARM& result, uint32_t) {
+        available, count, results, [&](VkQueueFamilyDataGraphPropertiesARM& result, uint32_t i) {
           result.engine = {VK_PHYSICAL_DEVICE_DATA_GRAPH_PROCESSING_ENGINE_TYPE_DEFAULT_ARM,
                            VK_FALSE};
-          result.operation = {
-              VK_PHYSICAL_DEVICE_DATA_GRAPH_OPERATION_TYPE_SPIRV_EXTENDED_INSTRUCTION_SET_ARM,
-              "TOSA.001000.1", 0};
+          result.operation = kOperations[i];
         });
   });
 }
@@ -511,7 +579,45 @@ VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphEngineOperationProperti
       tosa->pExtensions = tosa_extensions().data();
       tosa->level = VK_DATA_GRAPH_TOSA_LEVEL_8K_ARM;
     }
+    const Physical& known = instance->physical(physical);
+    if (auto* flow = find_in_chain<VkQueueFamilyDataGraphOpticalFlowPropertiesARM>(
+            static_cast<void*>(result),
+            VK_STRUCTURE_TYPE_QUEUE_FAMILY_DATA_GRAPH_OPTICAL_FLOW_PROPERTIES_ARM)) {
+      clear_body(*flow);
+      if (!computes(known, family) || !known.optical_flow) return VK_SUCCESS;
+      constexpr VkDataGraphOpticalFlowGridSizeFlagsARM kAll =
+          VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_1X1_BIT_ARM |
+          VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_2X2_BIT_ARM |
+          VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_4X4_BIT_ARM |
+          VK_DATA_GRAPH_OPTICAL_FLOW_GRID_SIZE_8X8_BIT_ARM;
+      flow->supportedOutputGridSizes = flow->supportedHintGridSizes = kAll;
+      flow->hintSupported = flow->costSupported = VK_TRUE;
+      flow->minWidth = flow->minHeight = 1;
+      flow->maxWidth = flow->maxHeight = max_flow_side(known);
+    }
     return VK_SUCCESS;
+  });
+}
+
+VkResult VKAPI_CALL GetPhysicalDeviceQueueFamilyDataGraphOpticalFlowImageFormatsARM(
+    VkPhysicalDevice physical, uint32_t family, const VkQueueFamilyDataGraphPropertiesARM* which,
+    const VkDataGraphOpticalFlowImageFormatInfoARM* info, uint32_t* count,
+    VkDataGraphOpticalFlowImageFormatPropertiesARM* results) {
+  return guarded([&]() -> VkResult {
+    const auto instance = instance_of(physical);
+    const auto below = instance->GetPhysicalDeviceQueueFamilyDataGraphOpticalFlowImageFormatsARM;
+    if (below_answers(*instance, physical, below))
+      return below(physical, family, which, info, count, results);
+    const Physical& known = instance->physical(physical);
+    if (!computes(known, family) || !known.optical_flow) {
+      *count = 0;
+      return VK_ERROR_EXTENSION_NOT_PRESENT;
+    }
+    const std::span<const VkFormat> formats = flow_formats(info->usage);
+    return enumerate(static_cast<uint32_t>(formats.size()), count, results,
+                     [&](VkDataGraphOpticalFlowImageFormatPropertiesARM& result, uint32_t i) {
+                       result.format = formats[i];
+                     });
   });
 }
 

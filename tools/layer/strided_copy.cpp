@@ -2,8 +2,8 @@
 
 #include <fmt/ranges.h>
 
-#include "compiler/spirv/glsl.h"
 #include "runtime/datagraph/late_pipelines.h"
+#include "tools/layer/tensor_shader.h"
 
 namespace shale::layer {
 namespace {
@@ -17,8 +17,23 @@ constexpr const char* kSource = R"(
 #extension GL_EXT_shader_16bit_storage : require
 #extension GL_EXT_shader_explicit_arithmetic_types : require
 layout(local_size_x = 64) in;
+#ifdef PACKED_LOW
+#extension GL_EXT_buffer_reference : require
+#extension GL_EXT_buffer_reference_uvec2 : require
+layout(std430, set = SET, binding = BINDING) buffer Strided { ELEMENT strided[]; } tensor[AT + 1];
+layout(std430, buffer_reference, buffer_reference_align = 8) buffer Packed { ELEMENT packed[]; };
+#define STRIDED(place) tensor[AT].strided[place]
+Packed elements() {
+  uvec2 place = uvec2(PACKED_LOW, PACKED_HIGH);  // no constant: glslang 12 dies of those
+  return Packed(place);
+}
+#define PACKED(at) elements().packed[at]
+#else
 layout(std430, set = 0, binding = 0) buffer Strided { ELEMENT strided[]; };
 layout(std430, set = 0, binding = 1) buffer Packed { ELEMENT packed[]; };
+#define STRIDED(place) strided[place]
+#define PACKED(at) packed[at]
+#endif
 const uint kSizes[] = { SIZES };
 const uint kSteps[] = { STEPS };
 void main() {
@@ -30,9 +45,9 @@ void main() {
     rest /= kSizes[axis];
   }
 #if UNPACKS
-  strided[place] = packed[at];
+  STRIDED(place) = PACKED(at);
 #else
-  packed[at] = strided[place];
+  PACKED(at) = STRIDED(place);
 #endif
 }
 )";
@@ -48,8 +63,7 @@ const char* element_type(uint32_t bytes) {
 
 }  // namespace
 
-Result<StridedCopy> StridedCopy::create(const vk::Context& context, const TensorLayout& layout,
-                                        bool unpacks, VkPipelineCache cache) {
+Result<Spirv> StridedCopy::compile(const TensorLayout& layout, bool unpacks, Defines places) {
   const uint32_t bytes = tensor_element_bytes(layout.format);
   std::vector<std::string> sizes, steps;
   for (size_t i = 0; i < layout.dims.size(); ++i) {
@@ -58,17 +72,38 @@ Result<StridedCopy> StridedCopy::create(const vk::Context& context, const Tensor
   }
   const uint64_t groups = (layout.elements() + kGroup - 1) / kGroup;
   const auto x = static_cast<uint32_t>(std::min<uint64_t>(groups, kMostGroups));
-  SHALE_TRY(const Spirv words, compile_glsl(kSource,
-                                            {{"ELEMENT", element_type(bytes)},
-                                             {"SIZES", fmt::format("{}", fmt::join(sizes, ","))},
-                                             {"STEPS", fmt::format("{}", fmt::join(steps, ","))},
-                                             {"RANK", std::to_string(layout.dims.size())},
-                                             {"COUNT", fmt::format("{}u", layout.elements())},
-                                             {"ROW", fmt::format("{}u", x * kGroup)},
-                                             {"UNPACKS", unpacks ? "1" : "0"}},
-                                            "strided copy"));
+  groups_ = {x, static_cast<uint32_t>((groups + x - 1) / x)};
+  const Defines common{{"ELEMENT", element_type(bytes)},
+                       {"SIZES", fmt::format("{}", fmt::join(sizes, ","))},
+                       {"STEPS", fmt::format("{}", fmt::join(steps, ","))},
+                       {"RANK", std::to_string(layout.dims.size())},
+                       {"COUNT", fmt::format("{}u", layout.elements())},
+                       {"ROW", fmt::format("{}u", x * kGroup)},
+                       {"UNPACKS", unpacks ? "1" : "0"}};
+  places.insert(places.end(), common.begin(), common.end());
+  return compile_glsl(kSource, places, "strided copy");
+}
+
+Result<StridedCopy> StridedCopy::create(const vk::Context& context, const TensorLayout& layout,
+                                        bool unpacks, const InBuffer& place) {
+  const Defines places{
+      {"SET", std::to_string(place.set)},
+      {"BINDING", std::to_string(place.binding)},
+      {"AT", std::to_string(kBuffersOfTensor * place.element)},
+      {"PACKED_LOW", fmt::format("{}u", place.packed & 0xffffffffu)},
+      {"PACKED_HIGH", fmt::format("{}u", place.packed >> 32)},
+  };
   StridedCopy copy;
-  copy.groups_ = {x, static_cast<uint32_t>((groups + x - 1) / x)};
+  SHALE_TRY(const Spirv words, copy.compile(layout, unpacks, places));
+  SHALE_TRY(copy.pipeline_, create_pipeline(context, words, place.layout, VK_NULL_HANDLE,
+                                            VK_PIPELINE_CREATE_DESCRIPTOR_BUFFER_BIT_EXT));
+  return copy;
+}
+
+Result<StridedCopy> StridedCopy::create(const vk::Context& context, const TensorLayout& layout,
+                                        bool unpacks, VkPipelineCache cache) {
+  StridedCopy copy;
+  SHALE_TRY(const Spirv words, copy.compile(layout, unpacks, {}));
   const VkDescriptorSetLayoutBinding bindings[] = {
       {0, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, 1, VK_SHADER_STAGE_COMPUTE_BIT, nullptr},
       {1, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, 1, VK_SHADER_STAGE_COMPUTE_BIT, nullptr}};
@@ -126,6 +161,11 @@ Result<StridedCopy::Recorded> StridedCopy::record(const vk::Context& context,
                                    &recorded.set_, 0, nullptr);
   context.vk.CmdDispatch(commands, groups_[0], groups_[1], 1);
   return recorded;
+}
+
+void StridedCopy::record_bound(const vk::Context& context, VkCommandBuffer commands) const {
+  context.vk.CmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline_.get());
+  context.vk.CmdDispatch(commands, groups_[0], groups_[1], 1);
 }
 
 void StridedCopy::Recorded::bind(const vk::Context& context, VkBuffer tensor,

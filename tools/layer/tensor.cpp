@@ -12,11 +12,8 @@
 namespace shale::layer {
 namespace {
 
-/// A range of buffer descriptors ends with a whole word (bound_bytes of the runtime).
-uint64_t buffer_bytes(const TensorLayout& layout) { return (layout.size_bytes() + 3) / 4 * 4; }
-
 /// The buffer behind a tensor; `external` is where a structure of its chain goes.
-Result<VkBufferCreateInfo> buffer_info(const VkTensorCreateInfoARM& info,
+Result<VkBufferCreateInfo> buffer_info(const Device& device, const VkTensorCreateInfoARM& info,
                                        const TensorLayout& layout,
                                        VkExternalMemoryBufferCreateInfo& external) {
   if (info.flags & ~VK_TENSOR_CREATE_MUTABLE_FORMAT_BIT_ARM)
@@ -24,8 +21,8 @@ Result<VkBufferCreateInfo> buffer_info(const VkTensorCreateInfoARM& info,
                        info.flags);
   VkBufferCreateInfo buffer{};
   buffer.sType = VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO;
-  buffer.size = buffer_bytes(layout);
-  buffer.usage = kTensorUsage;
+  buffer.size = layout.buffer_bytes();
+  buffer.usage = tensor_usage(device);
   buffer.sharingMode = info.sharingMode;
   buffer.queueFamilyIndexCount = info.queueFamilyIndexCount;
   buffer.pQueueFamilyIndices = info.pQueueFamilyIndices;
@@ -135,6 +132,11 @@ Runs merged_runs(const TensorLayout& from, const TensorLayout& to) {
 
 }  // namespace
 
+VkBufferUsageFlags tensor_usage(const Device& device) {
+  return device.descriptor_buffers ? kTensorUsage | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT
+                                   : kTensorUsage;
+}
+
 uint32_t tensor_element_bytes(VkFormat format) {
   switch (static_cast<int>(format)) {
     case VK_FORMAT_R8_UINT:
@@ -228,8 +230,8 @@ Result<ShapeSlot> ShapeSlots::take(const TensorLayout& layout) {
     constexpr uint64_t kSlotBytes = 256;  // the largest alignment that Vulkan allows
     constexpr uint64_t kSlots = 256;
     SHALE_TRY(vk::Buffer buffer,
-              vk::Buffer::create(*device_.context, kSlotBytes * kSlots,
-                                 VK_BUFFER_USAGE_STORAGE_BUFFER_BIT, vk::MemoryKind::kUpload));
+              vk::Buffer::create(*device_.context, kSlotBytes * kSlots, tensor_usage(device_),
+                                 vk::MemoryKind::kUpload));
     for (uint64_t i = kSlots; i-- > 0;)
       free_.push_back({buffer.get(), i * kSlotBytes,
                        reinterpret_cast<uint32_t*>(buffer.mapped().data() + i * kSlotBytes)});
@@ -287,18 +289,21 @@ VkResult VKAPI_CALL CreateTensorARM(VkDevice handle, const VkTensorCreateInfoARM
     Result<TensorLayout> layout = read_layout(*info->pDescription, device);
     if (!layout) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), layout.error());
     VkExternalMemoryBufferCreateInfo external{};
-    const auto below = buffer_info(*info, *layout, external);
+    const auto below = buffer_info(device, *info, *layout, external);
     if (!below) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), below.error());
-    ShapeSlot shape;
-    if (device.shapes) {
-      const Result<ShapeSlot> taken = device.shapes->take(*layout);
-      if (!taken) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), taken.error());
-      shape = *taken;
-    }
     auto* tensor = make_object<Tensor>(
-        allocator, Tensor{++last_id, info->flags, *std::move(layout), VK_NULL_HANDLE, shape});
-    const VkResult created =
-        device.context->vk.CreateBuffer(handle, &*below, allocator, &tensor->buffer);
+        allocator, Tensor{++last_id, info->flags, *std::move(layout), VK_NULL_HANDLE});
+    const VkResult created = guarded([&]() -> VkResult {
+      if (device.shapes) {
+        const Result<ShapeSlot> taken = device.shapes->take(tensor->layout);
+        if (!taken) return device.fail(VK_OBJECT_TYPE_DEVICE, number_of(handle), taken.error());
+        tensor->shape = *taken;
+      }
+      const VkResult made =
+          device.context->vk.CreateBuffer(handle, &*below, allocator, &tensor->buffer);
+      if (made == VK_SUCCESS) device.tensors_by_id.put(tensor->id, tensor);
+      return made;
+    });
     if (created == VK_SUCCESS)
       *result = reinterpret_cast<VkTensorARM>(tensor);
     else
@@ -313,6 +318,7 @@ void VKAPI_CALL DestroyTensorARM(VkDevice handle, VkTensorARM which,
   guarded_void([&] {
     Device& device = device_of(handle);
     Tensor* tensor = tensor_of(which);
+    device.tensors_by_id.take(tensor->id);
     forget_tensor(device, tensor->id);
     destroy_tensor(device, tensor, allocator);
   });
@@ -339,7 +345,7 @@ VkResult VKAPI_CALL CreateTensorViewARM(VkDevice handle, const VkTensorViewCreat
       error = bad_input("VkTensorViewCreateInfoARM", "the tensor has no memory yet");
     if (error) return device.fail(VK_OBJECT_TYPE_TENSOR_ARM, number_of(info->tensor), *error);
     *result = reinterpret_cast<VkTensorViewARM>(
-        make_object<TensorView>(allocator, TensorView{tensor, info->format}));
+        make_object<TensorView>(allocator, TensorView{tensor->id, info->format}));
     return VK_SUCCESS;
   });
 }
@@ -410,6 +416,26 @@ void VKAPI_CALL CmdCopyTensorARM(VkCommandBuffer commands, const VkCopyTensorInf
         return bad_input("vkCmdCopyTensorARM", "copies a part, expected the whole tensor");
     record_copy(device, commands, from.buffer, from.layout, to.buffer, to.layout);
     return {};
+  });
+}
+
+// Tensors that could be captured would need the address of their shape to be captured, too.
+static VkResult no_capture(VkDevice handle, VkObjectType type, uint64_t object) {
+  return device_of(handle).fail(type, object,
+                                unsupported("opaque capture descriptor data",
+                                            "tensors are made without the flag for capture"));
+}
+
+VkResult VKAPI_CALL GetTensorOpaqueCaptureDescriptorDataARM(
+    VkDevice handle, const VkTensorCaptureDescriptorDataInfoARM* info, void*) {
+  return guarded(
+      [&] { return no_capture(handle, VK_OBJECT_TYPE_TENSOR_ARM, number_of(info->tensor)); });
+}
+
+VkResult VKAPI_CALL GetTensorViewOpaqueCaptureDescriptorDataARM(
+    VkDevice handle, const VkTensorViewCaptureDescriptorDataInfoARM* info, void*) {
+  return guarded([&] {
+    return no_capture(handle, VK_OBJECT_TYPE_TENSOR_VIEW_ARM, number_of(info->tensorView));
   });
 }
 

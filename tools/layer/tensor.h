@@ -19,6 +19,9 @@ inline constexpr VkBufferUsageFlags kTensorUsage =
     VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_UNIFORM_TEXEL_BUFFER_BIT |
     VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
 
+/// The same, and an address where descriptors may lie in buffers.
+VkBufferUsageFlags tensor_usage(const Device& device);
+
 /// Bytes of an element; 0 for a format that tensors cannot have.
 uint32_t tensor_element_bytes(VkFormat format);
 
@@ -38,6 +41,8 @@ struct TensorLayout {
   uint64_t elements() const;
   /// From the first byte to behind the last.
   uint64_t size_bytes() const;
+  /// Of the buffer behind it: a range of buffer descriptors ends with a whole word.
+  uint64_t buffer_bytes() const { return (size_bytes() + 3) / 4 * 4; }
 };
 
 /// A tensor that may be aliased with an image lies as the device's linear images do, whose rows may be
@@ -78,7 +83,7 @@ struct Tensor {
 };
 
 struct TensorView {
-  Tensor* tensor = nullptr;
+  uint64_t tensor = 0;  ///< id
   VkFormat format = VK_FORMAT_UNDEFINED;
 };
 
