@@ -116,7 +116,7 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
 bool takes(const std::string& kernel, const ConvCase& row) {
   const bool is_plain =
       row.stride_y == 1 && row.stride_x == 1 && row.dilation_y == 1 && row.dilation_x == 1;
-  if (kernel == "conv2d_real") return row.multiplier == 0;
+  if (kernel == "products") return row.multiplier == 0;
   if (kernel == "generic" || kernel == "runs" || kernel == "conv2d_s16_f64" ||
       kernel == "conv2d_s8_i32")
     return true;
@@ -159,7 +159,7 @@ TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
 /// Types that a family multiplies.
 std::vector<DType> types_of(std::string_view kernel) {
   if (kernel == "conv2d_s16_f64") return {DType::kInt16};
-  if (kernel == "conv2d_real") return {DType::kFp32, DType::kFp16};
+  if (kernel == "products") return {DType::kFp32, DType::kFp16};
   if (kernel == "runs") return {DType::kInt8, DType::kInt16, DType::kFp32, DType::kFp16};
   return {DType::kInt8};
 }

@@ -30,6 +30,7 @@ class MulAddRoof {
   static Result<MulAddRoof> create(const ToolDevice& device);
   /// GOP/s now, of one run of some tens of milliseconds: shorter ones read too low. Errors: kDevice.
   Result<double> measure();
+  double operations() const { return work_; }  ///< of a run
 
  private:
   MulAddRoof(NetworkRun run, double work) : run_(std::move(run)), work_(work) {}
