@@ -416,6 +416,9 @@ bool products_supports(const GroupProblem& problem, const DeviceProfile& profile
       (dtype != DType::kFp32 && dtype != DType::kFp16 && dtype != DType::kInt8) ||
       (dtype == DType::kInt8 && graph.value(node.output).type.dtype != DType::kInt32))
     return false;
+  // Where INT8 weights are constant, other families know them.
+  if (node.op == Op::kConv2d && dtype == DType::kInt8 && graph.value(node.inputs[1]).is_constant())
+    return false;
   if (node.op != Op::kMatmul && dtype != DType::kInt8) {
     const std::span<const int64_t> pad = node.attrs.list(Attr::kPad);
     const bool is_padded = std::any_of(pad.begin(), pad.end(), [](int64_t p) { return p != 0; });
