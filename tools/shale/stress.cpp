@@ -725,8 +725,7 @@ std::string reference_text(const Arguments& arguments, const Subject& subject) {
   if (!subject.why_no_reference().empty()) return subject.why_no_reference();
   if (arguments.reference == "wide")
     return "of model: largest and mean difference in display codes from the same sandwich with "
-           "32-bit "
-           "floats in all its images of half floats";
+           "32-bit floats in all its images of half floats";
   return fmt::format(
       "of model: largest and mean difference in display codes from the passes of NSS v1 in double "
       "precision, which round {}; the network by the exact interpreter at faults, as the device "
