@@ -8,7 +8,6 @@
 
 #include "ir/base/parallel.h"
 #include "ir/package/rank.h"
-#include "runtime/datagraph/driver_code.h"
 #include "runtime/vk/commands.h"
 
 namespace shale {
@@ -16,6 +15,8 @@ namespace {
 
 /// Modules of so many words in all keep lavapipe busy for some ten seconds.
 constexpr size_t kLongCompileWords = 500000;
+/// Below so many it is done before help comes.
+constexpr size_t kShortCompileWords = 20000;
 
 VkDescriptorType descriptor_type(BindingType type) {
   switch (type) {
@@ -239,17 +240,26 @@ Result<void> Kernels::create_pipelines(const Package& package, const Variant& va
   const uint32_t half = std::max(std::thread::hardware_concurrency() / 2, 2u),
                  own = options.compile == Compile::kInBackground ? half : 1,
                  threads = options.threads == 0 ? own : options.threads;
-  std::vector<DriverWork> long_work;
-  size_t words = 0;
-  for (const size_t i : order) {
+  const auto is_of_network = [&](size_t i) {
+    return wanted[i].is_early && wanted[i].first->segment->kind == SegmentKind::kGraph;
+  };
+  const auto work_of = [&](size_t i) {
     const Wanted& of = *wanted[i].first;
-    if (of.segment->kind != SegmentKind::kGraph || of.dispatch->module != wanted[i].module)
-      continue;
-    long_work.push_back({of.segment, of.dispatch, &variant.modules[wanted[i].module]});
-    words += long_work.back().words->size();
-  }
+    const bool is_own = of.dispatch->module == wanted[i].module;
+    return DriverWork{of.segment, is_own ? of.dispatch : of.start,
+                      &variant.modules[wanted[i].module]};
+  };
+  std::vector<DriverWork> long_first, as_run;
+  size_t words = 0;
+  for (const size_t i : order)
+    if (is_of_network(i)) words += long_first.emplace_back(work_of(i)).words->size();
+  for (size_t i = 0; i < wanted.size(); ++i)
+    if (is_of_network(i)) as_run.push_back(work_of(i));
   if (threads > 1 && words > kLongCompileWords)
-    compile_ahead(context_, variant_, long_work, package.weights.size(), threads);
+    compile_ahead(context_, variant_, long_first, package.weights.size(), threads);
+  else if (threads > 1 && words > kShortCompileWords)
+    ahead_ = std::make_unique<CodeAhead>(context_, variant_, as_run, package.weights.size(),
+                                         threads - 1);
   pipelines_.resize(wanted.size());
   std::vector<Result<void>> outcomes(wanted.size());
   parallel_for(order.size(), [&](size_t n) {

@@ -12,6 +12,7 @@
 
 #include "ir/package/package.h"
 #include "runtime/datagraph/barriers.h"
+#include "runtime/datagraph/driver_code.h"
 #include "runtime/datagraph/late_pipelines.h"
 #include "runtime/datagraph/session.h"
 #include "runtime/vk/device.h"
@@ -137,6 +138,7 @@ class Kernels {
   bool has_tiles_ = false;
   bool update_after_bind_ = false;
   std::deque<Step> starts_;              // what serves in place of steps
+  std::unique_ptr<CodeAhead> ahead_;     // as does this: it uses the variant
   std::unique_ptr<LatePipelines> late_;  // goes first: its threads use the layouts
 };
 

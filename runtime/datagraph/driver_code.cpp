@@ -111,4 +111,29 @@ void compile_ahead(const vk::Context& context, const Variant& variant,
   for (std::thread& other : others) other.join();
 }
 
+CodeAhead::CodeAhead(const vk::Context& context, const Variant& variant,
+                     std::span<const DriverWork> works, uint64_t weight_bytes, uint32_t helpers) {
+  size_t total = 0, before = 0;
+  for (const DriverWork& work : works) total += work.words->size();
+  for (const DriverWork& work : works) {
+    if (before >= total / (helpers + 1)) {
+      words_.push_back(*work.words);
+      works_.push_back(work);
+    }
+    before += work.words->size();
+  }
+  for (size_t i = 0; i < works_.size(); ++i) works_[i].words = &words_[i];
+  const auto work = [this, context, &variant, weight_bytes] {
+    const std::unique_ptr<DriverCode> code = DriverCode::open(context);
+    for (size_t i = next_++; code && i < works_.size() && !stop_; i = next_++)
+      code->compile(variant, works_[i], weight_bytes);
+  };
+  for (size_t i = 0; i < std::min<size_t>(helpers, works_.size()); ++i) threads_.emplace_back(work);
+}
+
+CodeAhead::~CodeAhead() {
+  stop_ = true;
+  for (std::thread& thread : threads_) thread.join();
+}
+
 }  // namespace shale

@@ -5,8 +5,11 @@
 // a device of our own, off the host's way, and the host's device finds the code in that cache.
 #pragma once
 
+#include <atomic>
 #include <memory>
 #include <span>
+#include <thread>
+#include <vector>
 
 #include "ir/package/package.h"
 #include "runtime/vk/device.h"
@@ -43,5 +46,23 @@ class DriverCode {
 /// compile() for all, on so many threads; nothing for a driver that needs no DriverCode.
 void compile_ahead(const vk::Context& context, const Variant& variant,
                    std::span<const DriverWork> works, uint64_t weight_bytes, uint32_t threads);
+
+/// compile() for what comes last in the first run, while the host's device compiles what comes first.
+class CodeAhead {
+ public:
+  /// `works` in the order of the run, so many `helpers` beside the host's device: each gets an equal part of the words.
+  /// `variant` must outlive the object, the words need not.
+  CodeAhead(const vk::Context& context, const Variant& variant, std::span<const DriverWork> works,
+            uint64_t weight_bytes, uint32_t helpers);
+  /// Waits for what is being compiled, and for nothing else.
+  ~CodeAhead();
+
+ private:
+  std::vector<Spirv> words_;
+  std::vector<DriverWork> works_;
+  std::atomic<size_t> next_ = 0;
+  std::atomic<bool> stop_ = false;
+  std::vector<std::thread> threads_;
+};
 
 }  // namespace shale

@@ -32,7 +32,7 @@ struct DataGraphPipelineOptions {
   std::string graph = {};
   Compile compile = Compile::kAtOnce;
   /// Of the runtime's own, for drivers on the CPU with devices of its own (driver_code.h). 0 is none, but in the background, where
-  /// it is half of the processors, at least 2.
+  /// it is half of the processors, at least 2. All but one help to compile the first run's kernels, from create() on.
   uint32_t threads = 0;
   /// Sessions may be pointed at other tensors when they are recorded (Session::update). The device must have enabled
   /// descriptorBindingStorageBufferUpdateAfterBind and descriptorBindingUniformTexelBufferUpdateAfterBind.

@@ -99,7 +99,7 @@ class FrameForms : public ToolDeviceTest<testing::TestWithParam<Model>> {
                      FrameExtent{model.output.width, model.output.height}};
     options.targets = {target};
     // Drivers compile the fast kernels of a CPU for long; other tests run them.
-    if (target == "lavapipe") options.kernels = {"generic"};
+    if (target == "lavapipe") options.kernels = {"conv2d_s8_loop", "generic"};
     std::vector<uint8_t> bytes;
     if (model.network[0] != '\0') bytes = must(read_file(folder + model.network));
     Compiled compiled = must(compile(bytes, options));

@@ -138,7 +138,8 @@ class SandwichTest : public ToolDeviceTest<testing::Test> {
     };
     options.sizes = {FrameExtent{render.width, render.height},
                      FrameExtent{output.width, output.height}};
-    options.kernels = {"generic"};  // drivers take long for the fast ones, which pay at other sizes
+    // Drivers take long for the fast ones, which pay at other sizes.
+    options.kernels = {"conv2d_s8_loop", "generic"};
     return options;
   }
   /// Size of the tensor "input".
