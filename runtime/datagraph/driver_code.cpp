@@ -112,7 +112,8 @@ void compile_ahead(const vk::Context& context, const Variant& variant,
 }
 
 CodeAhead::CodeAhead(const vk::Context& context, const Variant& variant,
-                     std::span<const DriverWork> works, uint64_t weight_bytes, uint32_t helpers) {
+                     std::span<const DriverWork> works, uint64_t weight_bytes, uint32_t helpers)
+    : end_at_exit_([this] { end(); }) {
   size_t total = 0, before = 0;
   for (const DriverWork& work : works) total += work.words->size();
   for (const DriverWork& work : works) {
@@ -131,9 +132,12 @@ CodeAhead::CodeAhead(const vk::Context& context, const Variant& variant,
   for (size_t i = 0; i < std::min<size_t>(helpers, works_.size()); ++i) threads_.emplace_back(work);
 }
 
-CodeAhead::~CodeAhead() {
+CodeAhead::~CodeAhead() = default;
+
+void CodeAhead::end() {
   stop_ = true;
-  for (std::thread& thread : threads_) thread.join();
+  for (std::thread& thread : threads_)
+    if (thread.joinable()) thread.join();
 }
 
 }  // namespace shale

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "ir/package/package.h"
+#include "runtime/datagraph/end_at_exit.h"
 #include "runtime/vk/device.h"
 
 namespace shale {
@@ -58,11 +59,14 @@ class CodeAhead {
   ~CodeAhead();
 
  private:
+  void end();
+
   std::vector<Spirv> words_;
   std::vector<DriverWork> works_;
   std::atomic<size_t> next_ = 0;
   std::atomic<bool> stop_ = false;
   std::vector<std::thread> threads_;
+  EndAtExit end_at_exit_;  // goes first
 };
 
 }  // namespace shale

@@ -51,7 +51,8 @@ LatePipelines::LatePipelines(const vk::Context& context, const Variant& variant,
       jobs_(std::move(jobs)),
       order_(jobs_.size()),
       made_(jobs_.size()),
-      left_(jobs_.size()) {
+      left_(jobs_.size()),
+      end_at_exit_([this] { end(); }) {
   std::iota(order_.begin(), order_.end(), size_t{0});
   const auto worth = [&](size_t job) {
     return jobs_[job].gain_us / static_cast<double>(jobs_[job].words.size());
@@ -62,10 +63,13 @@ LatePipelines::LatePipelines(const vk::Context& context, const Variant& variant,
     threads_.emplace_back([this] { work(); });
 }
 
-LatePipelines::~LatePipelines() {
+LatePipelines::~LatePipelines() = default;
+
+void LatePipelines::end() {
   stop_ = true;
   begin();
-  for (std::thread& thread : threads_) thread.join();
+  for (std::thread& thread : threads_)
+    if (thread.joinable()) thread.join();
 }
 
 void LatePipelines::note_record() {

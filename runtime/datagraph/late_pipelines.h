@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "ir/package/package.h"
+#include "runtime/datagraph/end_at_exit.h"
 #include "runtime/vk/device.h"
 #include "runtime/vk/handle.h"
 
@@ -69,6 +70,7 @@ class LatePipelines {
   };
   void work();
   void begin();
+  void end();
   Result<void> compile(size_t job, std::unique_ptr<DriverCode>& code);
   std::optional<size_t> next_job();
 
@@ -89,6 +91,7 @@ class LatePipelines {
   std::atomic<size_t> left_;
   std::atomic<bool> stop_ = false;
   std::vector<std::thread> threads_;
+  EndAtExit end_at_exit_;  // goes first
 };
 
 }  // namespace shale

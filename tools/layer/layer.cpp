@@ -59,8 +59,10 @@ PFN_vkVoidFunction as_void(Function* function) {
 
 const Hook* find_hook(const char* name) {
   // An alias may be of an instance's or a device's function; that of its row decides.
-  static const auto hooks = [] {
-    std::unordered_map<std::string_view, Hook> all;
+  // Never destroyed, as handles() are.
+  static const auto& hooks = *[] {
+    auto* made = new std::unordered_map<std::string_view, Hook>;
+    auto& all = *made;
     const auto add = [&](const Hook& hook) { all.emplace(hook.name, hook); };
 #define SHALE_INSTANCE_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kInstance});
 #define SHALE_PHYSICAL_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kPhysical});
@@ -71,7 +73,7 @@ const Hook* find_hook(const char* name) {
 #define SHALE_DEFERRED_HOOK(name) add({"vk" #name, as_void(name), Hook::Kind::kDeferred});
 #define SHALE_HOOK_ALIAS(alias, name) add({"vk" #alias, as_void(name), all.at("vk" #name).kind});
 #include "tools/layer/hooks.def"
-    return all;
+    return made;
   }();
   const auto found = hooks.find(name);
   return found == hooks.end() ? nullptr : &found->second;
