@@ -15,8 +15,6 @@ namespace {
 
 /// Modules of so many words in all keep lavapipe busy for some ten seconds.
 constexpr size_t kLongCompileWords = 500000;
-/// Of fewer it has done before help comes, so each helper is for so many.
-constexpr size_t kShortCompileWords = 20000;
 
 VkDescriptorType descriptor_type(BindingType type) {
   switch (type) {
@@ -257,10 +255,10 @@ Result<void> Kernels::create_pipelines(const Package& package, const Variant& va
     if (is_of_network(i)) as_run.push_back(work_of(i));
   if (threads > 1 && words > kLongCompileWords)
     compile_ahead(context_, variant_, long_first, package.weights.size(), threads);
-  else if (threads > 1 && words > kShortCompileWords)
+  else if (threads > 1 && words > DriverCode::kShortWords)  // fewer are done before help comes
     ahead_ = std::make_unique<CodeAhead>(
         context_, variant_, as_run, package.weights.size(),
-        std::min(threads - 1, static_cast<uint32_t>(words / kShortCompileWords)));
+        std::min(threads - 1, static_cast<uint32_t>(words / DriverCode::kShortWords)));
   pipelines_.resize(wanted.size());
   std::vector<Result<void>> outcomes(wanted.size());
   parallel_for(order.size(), [&](size_t n) {

@@ -39,6 +39,15 @@ Package alone(const Variant& variant, const DriverWork& work, uint64_t weight_by
   return package;
 }
 
+/// Compiles, on a device of its own, the works that no other thread takes.
+void compile_next(const vk::Context& context, const Variant& variant,
+                  std::span<const DriverWork> works, uint64_t weight_bytes,
+                  std::atomic<size_t>& next, const std::atomic<bool>& stop) {
+  const std::unique_ptr<DriverCode> code = DriverCode::open(context);
+  for (size_t i = next++; code && i < works.size() && !stop; i = next++)
+    code->compile(variant, works[i], weight_bytes);
+}
+
 }  // namespace
 
 struct DriverCode::State {
@@ -98,15 +107,14 @@ void DriverCode::compile(const Variant& variant, const DriverWork& work,
 
 void compile_ahead(const vk::Context& context, const Variant& variant,
                    std::span<const DriverWork> works, uint64_t weight_bytes, uint32_t threads) {
+  std::vector<DriverWork> longer;
+  for (const DriverWork& work : works)
+    if (work.words->size() >= DriverCode::kShortWords) longer.push_back(work);
   std::atomic<size_t> next = 0;
-  const auto work = [&] {
-    const std::unique_ptr<DriverCode> code = DriverCode::open(context);
-    for (size_t i = next++; code && i < works.size(); i = next++)
-      if (works[i].words->size() >= DriverCode::kShortWords)
-        code->compile(variant, works[i], weight_bytes);
-  };
+  const std::atomic<bool> stop = false;
+  const auto work = [&] { compile_next(context, variant, longer, weight_bytes, next, stop); };
   std::vector<std::thread> others;
-  for (size_t i = 1; i < std::min<size_t>(threads, works.size()); ++i) others.emplace_back(work);
+  for (size_t i = 1; i < std::min<size_t>(threads, longer.size()); ++i) others.emplace_back(work);
   work();
   for (std::thread& other : others) other.join();
 }
@@ -125,9 +133,7 @@ CodeAhead::CodeAhead(const vk::Context& context, const Variant& variant,
   }
   for (size_t i = 0; i < works_.size(); ++i) works_[i].words = &words_[i];
   const auto work = [this, context, &variant, weight_bytes] {
-    const std::unique_ptr<DriverCode> code = DriverCode::open(context);
-    for (size_t i = next_++; code && i < works_.size() && !stop_; i = next_++)
-      code->compile(variant, works_[i], weight_bytes);
+    compile_next(context, variant, works_, weight_bytes, next_, stop_);
   };
   for (size_t i = 0; i < std::min<size_t>(helpers, works_.size()); ++i) threads_.emplace_back(work);
 }

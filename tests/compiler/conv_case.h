@@ -337,7 +337,7 @@ inline std::vector<ConvCase> edge_conv_cases() {
   cases.push_back({.name = "ic32_of_concat",
                    .n = 2,
                    .ic = 32,
-                   .oc = 8,
+                   .oc = 20,
                    .input_zp = -128,
                    .source = Source::kConcat,
                    .epilogue = Epilogue::kTable,
@@ -345,7 +345,7 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .weight_max = 30});
   // Winograd's sums of two tiles fit a double in parts of the channels, or not even so.
   cases.push_back({.name = "winograd_in_parts", .ic = 64, .oc = 1});
-  cases.push_back({.name = "winograd_in_two_parts", .ic = 24, .oc = 5, .input_zp = -128});
+  cases.push_back({.name = "winograd_in_two_parts", .ic = 24, .oc = 21, .input_zp = -128});
   cases.push_back({.name = "beyond_winograd", .ic = 128, .oc = 1});
   // So high that an invocation goes over several rows, the last one over fewer.
   cases.push_back(
