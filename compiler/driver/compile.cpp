@@ -382,9 +382,14 @@ Result<Compiled> compile_loaded(std::vector<LoadedGraph> loaded, const CompileOp
   const auto start = std::chrono::steady_clock::now();
   for (size_t i = 0; i < all.plans.size(); ++i) {
     Plan& plan = all.plans[i];
-    SHALE_TRY_VOID(build_modules(plan, {options.optimize_spirv, options.pass_options.verify_each,
-                                        all.profiles[i].caps.subgroup_size, options.progress}));
-    for (const std::string& line : missing(all.profiles[i].caps, plan.variant.requirements))
+    // Drivers of CPUs optimize with LLVM: spirv-opt takes seconds there and gives nothing.
+    const DeviceCaps& caps = all.profiles[i].caps;
+    SHALE_TRY_VOID(build_modules(plan, {.optimize = options.optimize_spirv,
+                                        .forward = caps.cpu,
+                                        .validate_always = options.pass_options.verify_each,
+                                        .subgroup_size = caps.subgroup_size,
+                                        .progress = options.progress}));
+    for (const std::string& line : missing(caps, plan.variant.requirements))
       compiled.warnings.push_back(fmt::format("target {}: {}", plan.variant.target, line));
     compiled.arena_lower_bound_bytes =
         std::max(compiled.arena_lower_bound_bytes, plan.arena_lower_bound_bytes);

@@ -42,7 +42,7 @@ struct CompileOptions {
   /// then see they see exactly. Nothing is the whole picture in every run.
   std::optional<uint32_t> tiles;
   bool require_proof = false;  ///< an unproven accumulator is an error, not a warning
-  bool optimize_spirv = true;
+  bool optimize_spirv = true;  ///< false: what asks for kSpirvOpt stays as glslang made it
   std::optional<Frame> frame;  ///< with it the package holds pre and post passes too
   ShaderLoader load_shader;    ///< needed with `frame`
   /// Bytes of a model file by its path in frame.json; needed for every graph but the first.

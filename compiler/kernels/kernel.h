@@ -40,7 +40,7 @@ struct Cells {
 
 /// What is done to a kernel's SPIR-V.
 enum class OptimizeBy {
-  kSpirvOpt,
+  kSpirvOpt,    ///< for GPUs; forward_locals for CPUs, whose drivers optimize for themselves
   kForwarding,  ///< forward_locals alone: spirv-opt would take long over thousands of products
   kNothing,     ///< instructions that spirv-opt does not know
 };

@@ -21,9 +21,10 @@ struct Module {
 Result<Module> build_module(const ModuleSource& source, const ModuleOptions& options) {
   Module module;
   SHALE_TRY(module.words, compile_glsl(source.glsl, source.defines, source.where, source.load));
-  if (source.optimize == OptimizeBy::kForwarding) {
+  const bool optimize = source.optimize == OptimizeBy::kSpirvOpt && options.optimize;
+  if (source.optimize == OptimizeBy::kForwarding || (optimize && options.forward)) {
     module.words = forward_locals(module.words);
-  } else if (source.optimize == OptimizeBy::kSpirvOpt && options.optimize) {
+  } else if (optimize) {
     SHALE_TRY(module.words, optimize_spirv(module.words, source.where));
   }
   // A third of the time where thousands of products stand in the code.

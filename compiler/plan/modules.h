@@ -9,6 +9,7 @@ namespace shale {
 
 struct ModuleOptions {
   bool optimize = true;          ///< by spirv-opt, where a source asks for it
+  bool forward = false;          ///< by forward_locals in place of spirv-opt
   bool validate_always = false;  ///< modules with thousands of products, too
   uint32_t subgroup_size =
       0;  ///< of the target: kernels with matrices have one subgroup to a workgroup

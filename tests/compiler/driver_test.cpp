@@ -4,6 +4,8 @@
 #include <set>
 
 #include "compiler/driver/compile.h"
+#include "compiler/spirv/check.h"
+#include "compiler/spirv/forward.h"
 #include "ir/base/hash.h"
 #include "tests/compiler/conv_case.h"
 #include "tests/compiler/graph_support.h"
@@ -162,6 +164,24 @@ TEST(Driver, MakesAVariantForEachTarget) {
   EXPECT_TRUE(one.package.variants[0] == both.package.variants[0]);
   // The second variant adds no weights: its own are in the code or lie there already.
   EXPECT_EQ(one.package.weights, both.package.weights);
+}
+
+TEST(Driver, OptimizesWhatDriversOfGpusGet) {
+  CompileOptions options = fast_options();
+  options.kernels = {"generic"};
+  options.targets = {"lavapipe", "generic-gpu"};
+  const Compiled plain = must(compile_text(kSmall, options));
+  options.optimize_spirv = true;
+  const Compiled optimized = must(compile_text(kSmall, options));
+  for (size_t i = 0; i < plain.package.variants.size(); ++i) {
+    const std::vector<Spirv>&from = plain.package.variants[i].modules,
+          &to = optimized.package.variants[i].modules;
+    ASSERT_EQ(from.size(), to.size());
+    for (size_t m = 0; m < from.size(); ++m) {
+      EXPECT_NE(from[m], to[m]);
+      EXPECT_EQ(to[m], i == 0 ? forward_locals(from[m]) : must(optimize_spirv(from[m], "module")));
+    }
+  }
 }
 
 TEST(Driver, PacksWeightsForTheKernelsThatWantThem) {

@@ -91,7 +91,6 @@ TEST_P(FloatDevice, IsWithinTheBoundsAndKeepsTheSignOfZero) {
   if (!device) GTEST_SKIP() << error_text(device);
   CompileOptions options;
   options.kernels = {kernel};
-  options.optimize_spirv = false;
   const Compiled compiled = must(compile_graph(graph, 0, options));
   const std::vector<Tensor> found = must(run_network(*device, compiled.package, {input}));
 

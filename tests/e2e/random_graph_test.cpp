@@ -63,7 +63,6 @@ CompileOptions options(bool optimize, uint64_t turn) {
       result.kernels.emplace_back(family.name);
   result.pass_options.optimize = optimize;
   result.pass_options.verify_each = true;
-  result.optimize_spirv = false;  // spirv-opt would take most of the time
   return result;
 }
 

@@ -92,7 +92,6 @@ class Settled : public ToolDeviceTest<testing::TestWithParam<Form>> {
       return read_text(folder + "/" + path);
     };
     options.sizes = {GetParam().render, GetParam().output};
-    options.optimize_spirv = false;
     options.tiles = tiles;
     const bool has_network = std::filesystem::exists(folder + "/model.tosa");
     return must(compile(

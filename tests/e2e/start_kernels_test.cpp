@@ -21,7 +21,6 @@ CompileOptions options_for(std::string_view kernel, std::string_view start, bool
   options.prefer = kernel;
   options.kernels = {std::string(start)};
   options.start_us = 0;
-  options.optimize_spirv = false;
   return options;
 }
 
