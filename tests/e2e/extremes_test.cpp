@@ -56,6 +56,25 @@ TEST_F(Extremes, NoPictureIsBrighterThanTheLampInIt) {
     }
 }
 
+TEST_F(Extremes, NoGeneratedPictureIsBrighterThanTheLampInItsFrames) {
+  const Extent size{48, 40};
+  for (const char* name : {"baselines/mob_fgsr_interpolation", "baselines/mob_fgsr_extrapolation",
+                           "baselines/motion_and_flow"}) {
+    const auto player = player_of(models() + name, {}, size, size);
+    for (uint32_t t = 0; t < 6; ++t) {
+      const SourceFrame frame = lamp_frame(size, size, t);
+      must(player->play(frame));
+      for (uint32_t k = 1; k < 4; ++k) {
+        const FloatImage shown =
+            must(player->generate(generated_time(*player->variant().generator, k, 4)));
+        ASSERT_TRUE(all_finite(shown)) << name << " frame " << t;
+        EXPECT_LE(mapped(largest(shown)), mapped(largest(frame.color)) + kOvershoot)
+            << name << " frame " << t << " picture " << k << " goes up to " << largest(shown);
+      }
+    }
+  }
+}
+
 TEST_F(Extremes, WhiteCodesOfANetworkAreNoLight) {
   // QRISP's network shows the last code everywhere, on a frame that is almost white itself: a picture of 7.5, to a half of
   // the root that is kept, which beside 1 is 2^-11 * 2 / (1 - 0.88) of it.

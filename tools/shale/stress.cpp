@@ -215,6 +215,7 @@ class Subject {
 
   Player& player() { return *player_; }
   bool display() const { return player_->is_display(); }
+  bool generates() const { return player_->variant().generator.has_value(); }
   bool takes_depth() const {
     const std::vector<Resource>& all = player_->variant().resources;
     return std::any_of(all.begin(), all.end(), [](const Resource& r) {
@@ -239,8 +240,8 @@ class Subject {
     return std::optional(std::move(picture));
   }
 
-  /// The linear picture, or the displayed one of a sandwich of such.
-  Result<FloatImage> play(const SourceFrame& frame) { return player_->play(frame); }
+  /// The linear picture, or the displayed one of a sandwich of such; a generated one below it.
+  Result<FloatImage> play(const SourceFrame& frame) { return play_all(*player_, frame); }
   /// Remembers what the package bounds, as the last frame left it.
   Result<void> look() { return found_.look(*player_); }
   Json bounds() const { return found_.rows(player_->variant()); }
@@ -360,7 +361,7 @@ class FaultRun {
     subject_.reset();
     Range output;
     double seen = 0;  // the largest finite colour that went in
-    double above = 0, below = 0, highest = 0;
+    double above = 0, below = 0, highest = 0, exposure_before = 0;
     Json json{{"group", fault.group}, {"fault", fault.name}}, curve = Json::array();
     uint64_t broken_history = 0;
     Difference struck, left;
@@ -380,8 +381,12 @@ class FaultRun {
       range.add(picture);
       output.add(picture);
       const double exposure = static_cast<double>(frame.camera.exposure);
+      // A generated picture may be as bright as the frame before it was shown.
+      const double brightest =
+          subject_.generates() ? std::max(exposure, exposure_before) : exposure;
+      exposure_before = exposure;
       // What a display shows ends at 1 by its format.
-      if (const double excess = mapped(range.high * exposure) - mapped(seen * exposure);
+      if (const double excess = mapped(range.high * exposure) - mapped(seen * brightest);
           !subject_.display() && excess > above) {
         above = excess;
         highest = range.high;
@@ -441,13 +446,14 @@ class FaultRun {
   double reach(const FloatImage& shown, const FloatImage& clean) const {
     const Extent render = subject_.player().render_size();
     const auto [tx, ty] = spoilt_texel(render);
+    const uint32_t height = subject_.player().output_size().height;  // of one of the pictures
     const double x0 = (tx + 0.5) * shown.width / render.width,
-                 y0 = (ty + 0.5) * shown.height / render.height;
+                 y0 = (ty + 0.5) * height / render.height;
     double farthest = 0;
     for (uint32_t y = 0; y < shown.height; ++y)
       for (uint32_t x = 0; x < shown.width; ++x)
         if (pixel_codes(shown.at(x, y), clean.at(x, y)) > 0.5)
-          farthest = std::max({farthest, std::abs(x + 0.5 - x0), std::abs(y + 0.5 - y0)});
+          farthest = std::max({farthest, std::abs(x + 0.5 - x0), std::abs(y % height + 0.5 - y0)});
     return farthest;
   }
 
@@ -859,6 +865,7 @@ Action add_stress(CLI::App& app) {
   add_device_options(app, arguments->device);
   app.add_flag("--json", arguments->json, "print the result as JSON");
   app.footer(
+      "Of a sandwich that generates pictures, one for each frame is judged with it.\n"
       "Frames are 96x54 in closed form, unless --render says otherwise. Exit code 1 if a verdict "
       "does not hold.\n"
       "Example: shale stress models/nss_v1_high --page stress.html\n"

@@ -42,6 +42,16 @@ Result<Frame> wide_frame(Frame frame) {
   return frame;
 }
 
+Result<FloatImage> play_all(Player& player, const SourceFrame& frame) {
+  SHALE_TRY(FloatImage picture, player.play(frame));
+  const std::optional<Generator>& generator = player.variant().generator;
+  if (!generator) return picture;
+  SHALE_TRY(const FloatImage generated, player.generate(generated_time(*generator, 1, 2)));
+  picture.values.insert(picture.values.end(), generated.values.begin(), generated.values.end());
+  picture.height += generated.height;
+  return picture;
+}
+
 Result<StressReference> StressReference::create(const Sandwich& sandwich, const Player& player,
                                                 bool has_tolerance, nss_v1::Rounding rounding) {
   if (!sandwich.frame)
@@ -68,7 +78,7 @@ void StressReference::reset() {
 
 Result<FloatImage> StressReference::play(const SourceFrame& frame, const Player& player,
                                          bool of_device) {
-  if (wide_) return wide_->play(frame);
+  if (wide_) return play_all(*wide_, frame);
   const std::vector<const Resource*> resources = tensors_of(player.variant(), Category::kOutput);
   return model_->passes.play(frame, [&](const Tensor& input) -> Result<std::pair<Tensor, Tensor>> {
     std::vector<Tensor> outputs;

@@ -15,6 +15,10 @@ namespace shale {
 /// Errors: kUnsupported if no pass writes half floats, so that it would be the same frame.
 Result<Frame> wide_frame(Frame frame);
 
+/// Player::play(); of a sandwich that generates, with the picture in the middle of the frames, or half a frame beyond
+/// them, below the frame's own.
+Result<FloatImage> play_all(Player& player, const SourceFrame& frame);
+
 class StressReference {
  public:
   /// The passes of NSS v1 in double precision, beside a player of this sandwich.

@@ -1,7 +1,8 @@
 // shaders/frame/framegen/warp.comp -- the picture at `time`, of the two frames' pixels that the splatted motion leads to.
 //
 // One invocation per output pixel. Colours are shown (rgba16_float, linear), of the newest frame and the previous one, read by
-// Catmull-Rom in the exposed Karis domain; a pixel that is met in its middle stays as it is, so that what does not move does
+// Catmull-Rom in the exposed Karis domain, within the range of what it reads: past a bright edge it would reach 1, which stands
+// for infinity there. A pixel that is met in its middle stays as it is, so that what does not move does
 // not change. Between the frames both are weighed: the one that is on the screen; the one whose depth is that of the thing that
 // was splatted (of a pixel without one the farther, for the other is still covered); of equal colours the frame nearer in
 // time; else both by time. AHEAD of the newest frame it alone has
@@ -40,10 +41,14 @@ vec3 mapped(HALF4 pixel) { return karis(exposed(rgb_of(pixel), params.exposure))
   if (all(lessThan(abs(place - vec2(middle)), vec2(1.0 / 512.0)))) return Taken(mapped(pixel), pixel, true); \
   const Bilinear b = bilinear_at(uv, kOutput);                                                       \
   const vec4 wx = catmull_rom(b.part.x), wy = catmull_rom(b.part.y);                                 \
-  vec3 sum = vec3(0.0);                                                                              \
-  [[unroll]] for (int i = 0; i < 16; ++i)                                                            \
-    sum += wx[i % 4] * wy[i / 4] * mapped(fetch(inside(b.base + ivec2(i % 4, i / 4) - 1, kOutput))); \
-  return Taken(max(sum, 0.0), pixel, false);
+  vec3 sum = vec3(0.0), least = vec3(1.0), most = vec3(0.0);                                          \
+  [[unroll]] for (int i = 0; i < 16; ++i) {                                                          \
+    const vec3 color = mapped(fetch(inside(b.base + ivec2(i % 4, i / 4) - 1, kOutput)));             \
+    sum += wx[i % 4] * wy[i / 4] * color;                                                            \
+    least = min(least, color);                                                                       \
+    most = max(most, color);                                                                         \
+  }                                                                                                  \
+  return Taken(clamp(sum, least, most), pixel, false);
 
 Taken newest_at(vec2 uv) { TAKE(fetch_shown) }
 #if !AHEAD
