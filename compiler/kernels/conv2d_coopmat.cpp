@@ -29,8 +29,6 @@ constexpr int64_t kMostSums = 32;       ///< of an invocation
 constexpr int64_t kLeastChannels = 16;  ///< below, too much of a matrix is filled with nothing
 constexpr int64_t kLine = 16;           ///< bytes of an element of the weight buffer
 
-int64_t groups(int64_t extent, int64_t each) { return (extent + each - 1) / each; }
-
 /// A matrix product and what a workgroup makes of it.
 struct Tile {
   int64_t m, n, k, subgroup;
@@ -47,14 +45,14 @@ struct Tile {
         rows(std::max<int64_t>(1, kLeastPixels / m)),
         steps(std::max<int64_t>(1, kLeastChunk / k)),
         blocks(std::max<int64_t>(1, kMostSums * subgroup / (rows * m * n))),
-        by_columns(n * groups(k, kLine) < k * groups(n, kLine)) {}
+        by_columns(n * ceil_div(k, kLine) < k * ceil_div(n, kLine)) {}
 
   int64_t pixels() const { return rows * m; }
   int64_t chunk_words() const { return steps * k / 4; }
   int64_t half_words() const { return pixels() * chunk_words(); }
   int64_t stage_words() const { return std::max(2 * half_words(), m * n); }
   /// uvec4 from one row or column of B to the next, and of all of B.
-  int64_t line() const { return groups(by_columns ? k : n, kLine); }
+  int64_t line() const { return ceil_div(by_columns ? k : n, kLine); }
   int64_t lines() const { return line() * (by_columns ? n : k); }
 };
 
@@ -75,9 +73,9 @@ struct Slices {
 };
 
 Slices slices_of(int64_t channels, const Tile& tile) {
-  const int64_t blocks = groups(channels, tile.n);
-  const int64_t count = groups(blocks, tile.blocks);
-  return {count, groups(blocks, count)};
+  const int64_t blocks = ceil_div(channels, tile.n);
+  const int64_t count = ceil_div(blocks, tile.blocks);
+  return {count, ceil_div(blocks, count)};
 }
 
 class CoopmatEmitter {
@@ -87,7 +85,7 @@ class CoopmatEmitter {
         codegen_(problem),
         tile_(tile),
         slices_(slices_of(conv_.out()[3], tile)),
-        chunks_(groups(conv_.taps() * conv_.words(), tile.chunk_words())) {}
+        chunks_(ceil_div(conv_.taps() * conv_.words(), tile.chunk_words())) {}
 
   KernelSource emit() {
     const size_t weights = codegen_.bind_constant(pack());
@@ -117,13 +115,14 @@ class CoopmatEmitter {
 
   std::array<int64_t, 3> workgroups() const {
     const Shape& out = conv_.out();
-    return {groups(out[2], tile_.pixels()), out[1], out[0] * slices_.count};
+    return {ceil_div(out[2], tile_.pixels()), out[1], out[0] * slices_.count};
   }
 
   /// Multiply-accumulates with those that fill pixels, blocks and chunks.
   double macs() const {
     const Shape& out = conv_.out();
-    return static_cast<double>(out[0] * out[1] * groups(out[2], tile_.pixels()) * tile_.pixels()) *
+    return static_cast<double>(out[0] * out[1] * ceil_div(out[2], tile_.pixels()) *
+                               tile_.pixels()) *
            static_cast<double>(chunks_ * 4 * tile_.chunk_words() * blocks() * tile_.n);
   }
 

@@ -28,12 +28,11 @@ struct Tile {
 /// weight.
 constexpr Tile kTiles[] = {{4, 8}, {3, 12}, {8, 4}};
 
-int64_t groups(int64_t extent, int64_t each) { return (extent + each - 1) / each; }
-
 /// The tile that fills up channels with the fewest that nobody needs.
 Tile tile_for(int64_t channels) {
   return *std::min_element(std::begin(kTiles), std::end(kTiles), [&](Tile a, Tile b) {
-    return groups(channels, a.channels) * a.channels < groups(channels, b.channels) * b.channels;
+    return ceil_div(channels, a.channels) * a.channels <
+           ceil_div(channels, b.channels) * b.channels;
   });
 }
 
@@ -43,7 +42,7 @@ class Dot8Emitter {
       : conv_(problem),
         codegen_(problem),
         tile_(tile_for(conv_.out()[3])),
-        blocks_(groups(conv_.out()[3], tile_.channels)) {}
+        blocks_(ceil_div(conv_.out()[3], tile_.channels)) {}
 
   KernelSource emit() {
     const int64_t vectors = blocks_ * conv_.taps() * conv_.words() * quads();
@@ -66,8 +65,9 @@ class Dot8Emitter {
 
   std::array<uint32_t, 3> workgroups() const {
     const Shape& out = conv_.out();
-    return {static_cast<uint32_t>(groups(out[2], tile_.pixels * kLocal)),
-            static_cast<uint32_t>(groups(out[1], kLocal)), static_cast<uint32_t>(out[0] * blocks_)};
+    return {static_cast<uint32_t>(ceil_div(out[2], tile_.pixels * kLocal)),
+            static_cast<uint32_t>(ceil_div(out[1], kLocal)),
+            static_cast<uint32_t>(out[0] * blocks_)};
   }
 
   /// Multiply-accumulates with those that fill blocks and words; not what hangs over the borders.
@@ -171,9 +171,9 @@ bool conv2d_dot8_supports(const GroupProblem& problem, const DeviceProfile& prof
     return false;
   const Shape& out = problem.graph->value(problem.group.result).type.shape;
   const Tile tile = tile_for(out[3]);
-  return groups(out[2], tile.pixels * kLocal) <= kMaxWorkgroups &&
-         groups(out[1], kLocal) <= kMaxWorkgroups &&
-         out[0] * groups(out[3], tile.channels) <= kMaxWorkgroups;
+  return ceil_div(out[2], tile.pixels * kLocal) <= kMaxWorkgroups &&
+         ceil_div(out[1], kLocal) <= kMaxWorkgroups &&
+         out[0] * ceil_div(out[3], tile.channels) <= kMaxWorkgroups;
 }
 
 WorkTable conv2d_dot8_work(const GroupProblem& problem, const DeviceProfile&) {

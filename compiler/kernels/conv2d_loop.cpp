@@ -22,8 +22,6 @@ constexpr int64_t kLocal = 8;     ///< invocations of a workgroup, along x
 constexpr int64_t kChannels = 4;  ///< output channels of an invocation
 constexpr int64_t kPixels = 4;    ///< most output pixels of one
 
-int64_t groups(int64_t extent, int64_t each) { return (extent + each - 1) / each; }
-
 class LoopEmitter {
  public:
   explicit LoopEmitter(const GroupProblem& problem)
@@ -31,7 +29,7 @@ class LoopEmitter {
         codegen_(problem),
         input_(problem.graph->node(*problem.group.head).inputs[0]),
         pixels_(std::min(kPixels, conv_.out()[2])),
-        blocks_(groups(conv_.out()[3], kChannels)) {
+        blocks_(ceil_div(conv_.out()[3], kChannels)) {
     for (int64_t oc = 0; oc < conv_.out()[3]; ++oc) {
       int64_t sum = 0;
       for (int64_t tap = 0; tap < conv_.taps(); ++tap)
@@ -84,8 +82,8 @@ class LoopEmitter {
   }
 
  private:
-  int64_t tiles() const { return groups(conv_.out()[2], pixels_); }
-  int64_t workgroups_x() const { return groups(tiles() * blocks_, kLocal); }
+  int64_t tiles() const { return ceil_div(conv_.out()[2], pixels_); }
+  int64_t workgroups_x() const { return ceil_div(tiles() * blocks_, kLocal); }
   /// One float sum serves the whole of an output channel.
   bool sums_fit() const { return 128 * largest_sum_ < kFloatExact; }
   /// Words of four channels that one float sum may take.

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "compiler/kernels/codegen.h"
+#include "ir/base/integer.h"
 
 namespace shale {
 

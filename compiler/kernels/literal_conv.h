@@ -9,10 +9,9 @@
 #include <set>
 
 #include "compiler/kernels/codegen.h"
+#include "ir/base/integer.h"
 
 namespace shale {
-
-inline int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
 /// Float32 holds integers below this exactly.
 inline constexpr int64_t kFloatExact = int64_t{1} << 24;

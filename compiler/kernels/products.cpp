@@ -27,8 +27,6 @@ namespace {
 constexpr int64_t kLocal = 8;        ///< invocations of a workgroup, along the columns
 constexpr int64_t kProducts = 1024;  ///< most products of a turn: what the processor keeps decoded
 
-int64_t groups(int64_t extent, int64_t each) { return (extent + each - 1) / each; }
-
 class ProductsEmitter {
  public:
   ProductsEmitter(const GroupProblem& problem, const DeviceProfile& profile)
@@ -121,9 +119,10 @@ class ProductsEmitter {
         if (rows * columns * step_ > kProducts || columns > extent_columns()) continue;
         if (is_matmul_ && (extent_columns() % columns != 0 || (columns & (columns - 1)) != 0))
           continue;
-        const double area = static_cast<double>(groups(extent_rows(), rows) * rows) *
-                            static_cast<double>(groups(groups(extent_columns(), columns), kLocal) *
-                                                kLocal * columns);
+        const double area =
+            static_cast<double>(ceil_div(extent_rows(), rows) * rows) *
+            static_cast<double>(ceil_div(ceil_div(extent_columns(), columns), kLocal) * kLocal *
+                                columns);
         const double fetches = 60.0 / static_cast<double>(step_) *
                                static_cast<double>(rows + columns) /
                                static_cast<double>(rows * columns);
@@ -134,8 +133,8 @@ class ProductsEmitter {
   }
   int64_t extent_rows() const { return is_matmul_ ? out_[1] : out_.back(); }
   int64_t extent_columns() const { return out_[out_.size() - (is_matmul_ ? 1 : 2)]; }
-  int64_t blocks() const { return groups(extent_rows(), rows_); }
-  int64_t grid_x() const { return groups(groups(extent_columns(), columns_), kLocal); }
+  int64_t blocks() const { return ceil_div(extent_rows(), rows_); }
+  int64_t grid_x() const { return ceil_div(ceil_div(extent_columns(), columns_), kLocal); }
   int64_t grid_y() const {
     return is_matmul_ ? blocks() : out_.size() == 5 ? out_[1] * out_[2] : out_[1];
   }

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "compiler/plan/reach.h"
+#include "ir/base/integer.h"
 
 namespace shale {
 namespace {
@@ -11,8 +12,6 @@ namespace {
 constexpr int64_t kTileRows = 8, kTileColumns = 32;
 constexpr uint32_t kNoList = UINT32_MAX;  // in the tables
 constexpr size_t kEntryWords = 7;         // of a dispatch in the tables
-
-int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
 uint32_t word(int64_t value) { return static_cast<uint32_t>(value); }
 

@@ -5,6 +5,7 @@
 #include <functional>
 #include <set>
 
+#include "ir/base/names.h"
 #include "ir/package/package.h"
 
 namespace shale {
@@ -13,11 +14,6 @@ namespace {
 constexpr uint32_t kSpirvMagic = 0x07230203;
 constexpr size_t kSpirvHeaderWords = 5;
 constexpr size_t kMaxRank = 6;  // TOSA 1.0, level 8K
-
-bool has_control_characters(std::string_view text) {
-  return std::any_of(text.begin(), text.end(),
-                     [](char c) { return static_cast<unsigned char>(c) < 0x20 || c == 0x7f; });
-}
 
 /// A name goes into messages, tables and JSON as it stands.
 Result<void> check_name(const std::string& where, const char* what, const std::string& name) {

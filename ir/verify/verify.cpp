@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <unordered_set>
 
+#include "ir/base/names.h"
 #include "ir/verify/rule.h"
 
 namespace shale {
@@ -109,11 +110,6 @@ static_assert(rows_follow_ops());
 
 bool is_open(const TensorType& type) {
   return std::ranges::find(type.shape, kDynamic) != type.shape.end();
-}
-
-/// Names go into messages, tables, files and shaders' listings as they stand.
-bool has_control_characters(const std::string& name) {
-  return std::ranges::any_of(name, [](unsigned char c) { return c < 0x20 || c == 0x7f; });
 }
 
 std::string value_label(const Graph& graph, ValueId id) {

@@ -67,6 +67,15 @@ bool validated();
 #define SHALE_SKIP_IF_VALIDATED() \
   if (validated()) GTEST_SKIP() << "calls that are wrong on purpose"
 
+/// A graph of one operator.
+inline constexpr const char* kDouble = R"(
+graph main {
+  input %x : i32[1,9]
+  %y = add %x, %x : i32[1,9]
+  return %y
+}
+)";
+
 /// A client per test; skips without a device, fails where validation has spoken.
 class LayerTest : public testing::Test {
  protected:

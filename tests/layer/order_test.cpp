@@ -13,14 +13,6 @@
 namespace shale {
 namespace {
 
-const char* kDouble = R"(
-graph main {
-  input %x : i32[1,9]
-  %y = add %x, %x : i32[1,9]
-  return %y
-}
-)";
-
 class OrderLayerTest : public LayerTest {
  protected:
   void SetUp() override {

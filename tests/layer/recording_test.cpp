@@ -9,14 +9,6 @@
 namespace shale {
 namespace {
 
-const char* kDouble = R"(
-graph main {
-  input %x : i32[1,9]
-  %y = add %x, %x : i32[1,9]
-  return %y
-}
-)";
-
 class RecordingLayerTest : public LayerTest {
  protected:
   void SetUp() override {

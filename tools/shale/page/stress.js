@@ -19,7 +19,7 @@
       { title: "high", unit: "output", at: "/high", digits: 3 }, { title: "struck", unit: "codes, largest", at: "/struck_codes", digits: 0 },
       { title: "area", unit: "% of pixels", at: "/struck_share", scale: 100, digits: 1 }, { title: "reach", unit: "pixels", at: "/reach", digits: 1 },
       { title: "lasts", unit: "frames after", at: "/lasts_frames", digits: 0 }, { title: "left", unit: "codes", at: "/left_codes", digits: 0 },
-      { title: "of model", unit: "codes, largest", at: "/reference_largest_codes", digits: 0 }, { title: "of model", unit: "codes, mean", at: "/reference_mean_codes", digits: 4 },
+      { title: "of model, largest", unit: "codes", at: "/reference_largest_codes", digits: 0 }, { title: "of model, mean", unit: "codes", at: "/reference_mean_codes", digits: 4 },
       { title: "verdict", at: "/verdict" },
     ], data.faults.map((_, i) => `/faults/${i}`));
     const place = group();
@@ -38,7 +38,7 @@
     table([
       { title: "course", at: "/course" }, { title: "frames", at: "/frames", digits: 0 }, { title: "drift", unit: "codes, mean", at: "/drift_mean_codes", digits: 3 },
       { title: "largest", unit: "codes", at: "/drift_largest_codes", digits: 0 }, { title: "rate", unit: "codes in 1000 frames", at: "/drift_codes_per_1000_frames", digits: 4 },
-      { title: "of model", unit: "codes, largest", at: "/reference_largest_codes", digits: 0 }, { title: "of model", unit: "codes, mean", at: "/reference_mean_codes", digits: 4 },
+      { title: "of model, largest", unit: "codes", at: "/reference_largest_codes", digits: 0 }, { title: "of model, mean", unit: "codes", at: "/reference_mean_codes", digits: 4 },
       { title: "of model", unit: "codes in 1000 frames", at: "/reference_codes_per_1000_frames", digits: 5 },
       { title: "swing at rest", unit: "codes, mean", at: "/swing_codes", digits: 2 }, { title: "memory", unit: "MB more", at: "/memory_growth_mb", digits: 1 },
       { title: "verdict", at: "/verdict" },
