@@ -760,6 +760,7 @@ Result<int> stress(const Arguments& arguments) {
     json.update({{"reference", reference_text(arguments, subject)},
                  {"render", {render.width, render.height}},
                  {"output", {output.width, output.height}},
+                 {"generates", subject.generates()},
                  {"limits",
                   {{"after_frames", arguments.recover},
                    {"overshoot", kOvershoot},

@@ -2,7 +2,7 @@
 (() => {
   const { data, colours, element, table, chart, group, dim, start } = page;
   const limits = data.limits;
-  dim(`${data.model}, ${data.render.join("x")} to ${data.output.join("x")}, on ${data.device}. ${data.hold} of ${data.verdicts} verdicts hold. Limits: all values finite; the output between 0 and the brightest colour that went in, to ${limits.overshoot} of x / (1 + x);${limits.codes === undefined ? "" : ` after ${limits.after_frames} frames at most ${limits.codes.toFixed(0)} display codes of a fault are left, two more than of a cut;`} over time at most ${limits.drift_codes} codes of drift in the mean; the network as the interpreter has it; at most ${limits.reference_codes} codes in the mean from the model. ${data.reference}.`);
+  dim(`${data.model}, ${data.render.join("x")} to ${data.output.join("x")}, on ${data.device}${data.generates ? ", with a generated picture for each frame" : ""}. ${data.hold} of ${data.verdicts} verdicts hold. Limits: all values finite; the output between 0 and the brightest colour that went in, to ${limits.overshoot} of x / (1 + x);${limits.codes === undefined ? "" : ` after ${limits.after_frames} frames at most ${limits.codes.toFixed(0)} display codes of a fault are left, two more than of a cut;`} over time at most ${limits.drift_codes} codes of drift in the mean; the network as the interpreter has it; at most ${limits.reference_codes} codes in the mean from the model. ${data.reference}.`);
   const lines = (place, title, rows, name, unit) => chart(place, title, () => ({
     type: "line",
     data: {
