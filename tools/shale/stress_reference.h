@@ -15,8 +15,8 @@ namespace shale {
 /// Errors: kUnsupported if no pass writes half floats, so that it would be the same frame.
 Result<Frame> wide_frame(Frame frame);
 
-/// Player::play(); of a sandwich that generates, with the picture in the middle of the frames, or half a frame beyond
-/// them, below the frame's own.
+/// Player::play(); of a sandwich that generates, with the first of two pictures for each frame below it: at a third of the
+/// way between the frames, or beyond them, where both do not count alike.
 Result<FloatImage> play_all(Player& player, const SourceFrame& frame);
 
 class StressReference {
