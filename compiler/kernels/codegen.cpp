@@ -117,6 +117,18 @@ std::string Codegen::narrow_call(const char* prefix, DType dtype, const std::str
   }
 }
 
+std::string Codegen::scaled(const std::string& value, IntRange range, int64_t multiplier,
+                            int64_t shift) {
+  // With multiplier = high * 2^16 + low and a half that is a multiple of 2^16, what low times value has below 2^16 is cut off
+  // in any case.
+  constexpr int64_t kSmall = 1 << 15;
+  if (range.min >= -kSmall && range.max <= kSmall && shift >= 17 && shift <= 46 && multiplier >= 0)
+    return fmt::format("scale_small({}, {}, {}, {})", value, multiplier >> 16, multiplier & 0xffff,
+                       shift - 16);
+  if (shift > 32) return fmt::format("scale_high({}, {}, {})", value, multiplier, shift - 32);
+  return fmt::format("scale_round({}, {}, {}, false)", value, multiplier, shift);
+}
+
 std::string Codegen::extremum(const Node& node, const char* which, const std::string& a,
                               const std::string& b) {
   const bool ignore = node.attrs.get(Attr::kNanMode) == kIgnoreNan;
@@ -164,9 +176,7 @@ size_t Codegen::bind_constant(std::vector<uint8_t> bytes, BindingType type) {
   return bindings_.size() - 1;
 }
 
-std::string Codegen::load(ValueId id, const Position& at) {
-  return load_as(id, value(id).type.shape, at);
-}
+std::string Codegen::load(ValueId id, const Position& at) { return load_as(id, shape_of(id), at); }
 
 std::string Codegen::load_as(ValueId id, const Shape& shape, const Position& at) {
   if (const auto local = locals_.find(id); local != locals_.end()) return local->second;
@@ -220,7 +230,7 @@ std::string Codegen::operand(const Node& node, size_t index, const Position& at)
   const ValueId id = node.inputs[index];
   const Shape& from = value(id).type.shape;
   const Shape& to = value(node.output).type.shape;
-  if (from == to) return load(id, at);
+  if (from == to || !flat_.empty()) return load(id, at);  // what is not as large has one element
   Position own = moved(at);
   for (size_t i = 0; i < from.size(); ++i)
     if (from[i] == 1) own.coords[i] = "0";
@@ -231,7 +241,7 @@ std::string Codegen::operand(const Node& node, size_t index, const Position& at)
 std::string Codegen::store(ValueId id, const Position& at, const std::string& expression) {
   const size_t binding = bind(id, BindingType::kStorageBuffer, ImageFormat::kNone, true);
   const TensorType& type = value(id).type;
-  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, type.shape),
+  return fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(at, shape_of(id)),
                      memory_type(type.dtype), narrow_call("to_", type.dtype, expression));
 }
 
@@ -326,11 +336,16 @@ std::string Codegen::elementwise(const Node& node, const Position& at) {
       const int64_t out_zp = out_unsigned ? unsigned_value(constant(4), out) : constant(4);
       std::string v = in_unsigned ? fmt::format("({} & {})", a, (1 << dtype_info(in).bits) - 1) : a;
       if (in_zp != 0) v = fmt::format("({} - {})", v, literal(in_zp));
+      IntRange centred = in_unsigned ? IntRange{0, (1 << dtype_info(in).bits) - 1}
+                                     : value_range(graph_, node.inputs[0]);
+      centred = {centred.min - in_zp, centred.max - in_zp};
       const bool double_round = node.attrs.get(Attr::kRoundingMode) == kDoubleRound;
       const std::optional<int64_t> shift = as_number(s);
       std::string r;
       if (in == DType::kInt48)
         r = fmt::format("apply_scale_48({}, {}, {})", v, m, s);
+      else if (const std::optional<int64_t> factor = as_number(m); factor && shift && !double_round)
+        r = scaled(v, centred, *factor, *shift);
       else if (shift && *shift > 32 && !double_round)
         r = fmt::format("scale_high({}, {}, {})", v, m, *shift - 32);
       else

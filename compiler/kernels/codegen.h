@@ -42,6 +42,12 @@ class Codegen {
   /// constants.
   size_t bind_constant(std::vector<uint8_t> bytes, BindingType type = BindingType::kStorageBuffer);
 
+  /// Takes all values that are as large as the group's result as rows of one dimension, where nothing in the group asks
+  /// where an element is: runs then go on past the end of the last dimension.
+  void flatten_if_elementwise();
+  /// Of a value, or of what it was flattened to.
+  const Shape& shape_of(ValueId id) const;
+
   /// Expression for one element of a value: a local, a literal, a call into a folded view, or a
   /// load. `at` is a position in the value's own shape.
   std::string load(ValueId id, const Position& at);
@@ -117,6 +123,10 @@ class Codegen {
   /// A decimal literal that GLSL accepts, the most negative int included. A float is given by its bits.
   static std::string literal(int64_t value, DType dtype = DType::kInt32);
   static std::string real_literal(float value);
+  /// (value * multiplier + 2^(shift - 1)) >> shift (TOSA apply_scale_32, single rounding) of a value in `range`: in two
+  /// products of 32 bits where it is small, else by pairs of words. 1 <= shift <= 62, 0 <= multiplier < 2^31.
+  static std::string scaled(const std::string& value, IntRange range, int64_t multiplier,
+                            int64_t shift);
   /// `expression` (float) rounded to what `dtype`, a floating-point type, holds.
   static std::string rounded(const std::string& expression, DType dtype) {
     return narrow_call("round_", dtype, expression);
@@ -124,7 +134,8 @@ class Codegen {
   /// A call of to_..., from_... or round_... of real.glsl for a type of 16 or 8 bits; `x` alone for others.
   static std::string narrow_call(const char* prefix, DType dtype, const std::string& x);
   /// The word of elements that lie together, given as expressions of registers. A maximum with a 0 that the driver
-  /// cannot know, `none`, keeps LLVM from packing lane by lane in the loop in which Mesa stores: 9 to 15 % of a layer.
+  /// cannot know, `none`, keeps LLVM from packing, or computing an int32, lane by lane in the loop in which Mesa stores: 9 to
+  /// 15 % of a layer, 60 % of a RESIZE of int8.
   static std::string packed_word(DType dtype, std::span<const std::string> elements);
   /// A call of max_... or min_... of real.glsl by the node's NaN mode.
   static std::string extremum(const Node& node, const char* which, const std::string& a,
@@ -148,6 +159,7 @@ class Codegen {
   bool functions_of_reals_ = false;
   bool texel_tables_ = false;
   uint64_t most_texels_ = 0;
+  Shape flat_;                                ///< empty: values have their own shapes
   int64_t cell_columns_ = 0, cell_rows_ = 1;  ///< 0 columns: no cells; rows of the grid in a cell
 };
 

@@ -14,6 +14,26 @@ std::vector<Position> Position::run_at(std::vector<std::string> coords, const st
   return elements;
 }
 
+void Codegen::flatten_if_elementwise() {
+  const Shape& result = value(problem_.group.result).type.shape;
+  for (const NodeId id : problem_.group.nodes) {
+    const Node& node = graph_.node(id);
+    if (op_kind(node) != OpKind::kElementwise) return;
+    for (const ValueId input : node.inputs) {
+      const Value& v = value(input);
+      const bool is_table = node.op == Op::kTable && input == node.inputs[1];
+      if (v.type.shape != result && !is_table && !(v.is_constant() && v.constant->count() == 1))
+        return;
+    }
+  }
+  flat_ = {element_count(result).value_or(0)};
+}
+
+const Shape& Codegen::shape_of(ValueId id) const {
+  const Shape& own = value(id).type.shape;
+  return !flat_.empty() && own == value(problem_.group.result).type.shape ? flat_ : own;
+}
+
 std::string Codegen::fetch(ValueId id, const Shape& shape, const Position& at) {
   const DType dtype = value(id).type.dtype;
   const int64_t bytes = dtype_info(dtype).host_bytes;
@@ -60,29 +80,29 @@ std::string Codegen::fetch(ValueId id, const Shape& shape, const Position& at) {
 }
 
 int64_t Codegen::run_length(int64_t most) const {
-  const TensorType& type = value(problem_.group.result).type;
-  const int64_t bytes = dtype_info(type.dtype).host_bytes;
-  for (int64_t length = most; length > 1 && bytes <= 4 && !type.shape.empty(); length /= 2)
-    if (type.shape.back() % length == 0 && length * bytes % 4 == 0) return length;
+  const Shape& shape = shape_of(problem_.group.result);
+  const int64_t bytes = dtype_info(value(problem_.group.result).type.dtype).host_bytes;
+  for (int64_t length = most; length > 1 && bytes <= 4 && !shape.empty(); length /= 2)
+    if (shape.back() % length == 0 && length * bytes % 4 == 0) return length;
   return 1;
 }
 
 std::string Codegen::store_run(const Position& first, const std::vector<std::string>& expressions) {
   const ValueId id = problem_.group.result;
-  const TensorType& type = value(id).type;
+  const DType dtype = value(id).type.dtype;
   if (expressions.size() == 1) return store(id, first, expressions[0]);
-  const size_t in_word = 4 / dtype_info(type.dtype).host_bytes;
+  const size_t in_word = 4 / dtype_info(dtype).host_bytes;
   const bool wide = expressions.size() % (4 * in_word) == 0;
   const size_t together = wide ? 4 * in_word : in_word;
   const size_t binding = bind(id, BindingType::kStorageBuffer,
                               wide ? ImageFormat::kRgba32Uint : ImageFormat::kR32Uint, true);
-  Shape texels = type.shape;
+  Shape texels = shape_of(id);
   texels.back() /= static_cast<int64_t>(together);
   std::string text;
   for (size_t at = 0; at < expressions.size(); at += together) {
     std::vector<std::string> words;
     for (size_t i = at; i < at + together; i += in_word)
-      words.push_back(packed_word(type.dtype, {expressions.data() + i, in_word}));
+      words.push_back(packed_word(dtype, {expressions.data() + i, in_word}));
     Position texel{.coords = first.coords};
     texel.coords.back() = fmt::format("(({} + {}) / {})", first.base, at, together);
     text += fmt::format("  b{}.d[{}] = {}({});\n", binding, linear(texel, texels),
@@ -95,7 +115,7 @@ std::string Codegen::packed_word(DType dtype, std::span<const std::string> v) {
   const auto packed = [](const std::string& word) { return fmt::format("max({}, none)", word); };
   switch (dtype) {
     case DType::kFp32: return fmt::format("floatBitsToUint({})", v[0]);
-    case DType::kInt32: return fmt::format("uint({})", v[0]);
+    case DType::kInt32: return packed(fmt::format("uint({})", v[0]));
     case DType::kFp16:
     case DType::kBf16:
       return packed(fmt::format("{} | ({} << 16)", narrow_call("to_", dtype, v[0]),

@@ -60,8 +60,12 @@ float real_pow(float x, float y) {
   return negative && odd ? -magnitude : magnitude;
 }
 
-// 2/pi after 32 zero bits.
-const uint kTwoOverPi[8] = uint[8](0u, 0xa2f9836eu, 0x4e441529u, 0xfc2757d1u, 0xf534ddc0u, 0xdb629599u, 0x3c439041u, 0xfe5163abu);
+// Word `i`, at most 7, of 2/pi after 32 zero bits. No array: a CPU driver would write it to memory for every argument.
+uint two_over_pi(uint i) {
+  uint even = i < 4u ? (i < 2u ? 0u : 0x4e441529u) : (i < 6u ? 0xf534ddc0u : 0x3c439041u);
+  uint odd = i < 4u ? (i < 2u ? 0xa2f9836eu : 0xfc2757d1u) : (i < 6u ? 0xdb629599u : 0xfe5163abu);
+  return (i & 1u) == 0u ? even : odd;
+}
 
 // x = quarter * pi/2 + rest, |rest| <= pi/4: x is an integer of 24 bits times 2^s, and of 2/pi only the 96 bits count that
 // do not give multiples of 4 (Payne and Hanek, 1983). The rest is exact to 2^-32.
@@ -71,16 +75,13 @@ float reduced(float x, out uint quarter) {
   if (bits < 0x3f490fdbu) return x;  // below pi/4
   uint m = (bits & 0x7fffffu) | 0x800000u, first = min(bits >> 23, 254u) - 120u;
   uint word = first >> 5, shift = first & 31u;
-  uint w[3];
-  for (uint i = 0u; i < 3u; ++i) {
-    uint low = shift == 0u ? 0u : kTwoOverPi[word + i + 1u] >> (32u - shift);
-    w[i] = (kTwoOverPi[word + i] << shift) | low;
-  }
+  uint a = two_over_pi(word), b = two_over_pi(word + 1u), c = two_over_pi(word + 2u), d = two_over_pi(word + 3u);
+  // In two shifts, since one by 32 is undefined.
   uint high2, low2, high1, low1, carry;
-  umulExtended(m, w[2], high2, low2);
-  umulExtended(m, w[1], high1, low1);
+  umulExtended(m, (c << shift) | (d >> 1 >> (31u - shift)), high2, low2);
+  umulExtended(m, (b << shift) | (c >> 1 >> (31u - shift)), high1, low1);
   uint middle = uaddCarry(low1, high2, carry);
-  uint top = m * w[0] + high1 + carry;
+  uint top = m * ((a << shift) | (b >> 1 >> (31u - shift))) + high1 + carry;
   uint fraction = (top << 2) | (middle >> 30);
   quarter = (top >> 30) + (fraction >> 31);  // to the nearest multiple
   precise float rest = float(int(fraction)) * (1.57079637 / 4294967296.0);

@@ -73,8 +73,12 @@ float min_propagate(float a, float b) { return is_nan(a) ? a : is_nan(b) ? b : m
 float max_ignore(float a, float b) { return is_nan(a) ? b : is_nan(b) ? a : max(a, b); }
 float min_ignore(float a, float b) { return is_nan(a) ? b : is_nan(b) ? a : min(a, b); }
 
-// CAST: to nearest even, saturated to low..high; a NaN gives 0.
+// CAST: to nearest even, saturated to low..high; a NaN gives 0. Up to 2^22 the last bits of 1.5 * 2^23 round as wanted.
 int to_int(float x, int low, int high) {
+  if (low >= -0x400000 && high <= 0x400000) {
+    precise float held = clamp(is_nan(x) ? 0.0 : x, float(low), float(high)) + 12582912.0;
+    return floatBitsToInt(held) - 0x4b400000;
+  }
   float whole = roundEven(x);
   int inner = whole <= float(low) ? low : whole >= float(high) ? high : int(whole);
   return is_nan(x) ? 0 : inner;

@@ -21,11 +21,16 @@ int scale_round(int a, int b, int shift, bool double_round) {
   return int(sum_low >> shift) | (sum_high << (32 - shift));
 }
 
-
 // The same for a shift of 32 + `shift`, shift > 0, without `double_round`: what is added and kept lies
 // in the upper word alone.
 int scale_high(int a, int b, int shift) {
   int high, low;
   imulExtended(a, b, high, low);
   return (high + (1 << (shift - 1))) >> shift;
+}
+
+// (a * (high * 2^16 + low) + 2^(shift + 15)) >> (shift + 16) for |a| <= 2^15, 0 <= high < 2^15, 0 <= low < 2^16 and
+// 1 <= shift <= 30: two products of 32 bits, where a pair of words takes a driver three times as many instructions.
+int scale_small(int a, int high, int low, int shift) {
+  return (a * high + (a * low >> 16) + (1 << (shift - 1))) >> shift;
 }

@@ -403,8 +403,9 @@ double median(std::vector<double> values) {
 struct Measured {
   std::string kernels;                    ///< that were chosen
   double seconds = 0, naive_seconds = 0;  ///< of a processor, for a run
-  double gops = 0, gbytes = 0;            ///< the roofs of a processor, meanwhile
-  double moved_gb = 0;                    ///< inputs, constants and results, each once
+  // The roofs of a processor, meanwhile: arithmetic, memory, the driver's fetches and stores.
+  double gops = 0, gbytes = 0, fetched = 0, stored = 0;
+  double read_gb = 0, written_gb = 0;  ///< inputs and constants, results, each once
 };
 std::map<std::string, Measured>& measured() {
   static std::map<std::string, Measured> all;
@@ -433,20 +434,23 @@ Result<Measured> measure_operator(const Operator& c) {
     found.kernels += fmt::format("{}{}{}", found.kernels.empty() ? "" : ", ", name,
                                  count > 1 ? fmt::format(" ({})", count) : "");
   std::vector<Tensor> inputs;
-  const auto add = [&](ValueId id) {
+  const auto gb = [&](ValueId id) {
     const TensorType& type = graph.value(id).type;
-    found.moved_gb += 1e-9 * static_cast<double>(element_count(type.shape).value_or(0) *
-                                                 dtype_info(type.dtype).host_bytes);
+    return 1e-9 * static_cast<double>(element_count(type.shape).value_or(0) *
+                                      dtype_info(type.dtype).host_bytes);
   };
   for (const ValueId id : graph.inputs) {
     inputs.push_back(random_input(graph.value(id).type));
-    add(id);
+    found.read_gb += gb(id);
   }
-  for (const ValueId id : graph.outputs) add(id);
+  for (const ValueId id : graph.outputs) found.written_gb += gb(id);
   SHALE_TRY(NetworkRun fast, NetworkRun::create(device(), chosen.package, inputs));
   SHALE_TRY(NetworkRun slow, NetworkRun::create(device(), naive.package, inputs));
-  static Result<MulAddRoof> roof = MulAddRoof::create(device());
-  if (!roof) return roof.error();
+  static Result<RoofProbe> roofs[] = {RoofProbe::create(device()),
+                                      RoofProbe::create(device(), RoofKind::kFetch),
+                                      RoofProbe::create(device(), RoofKind::kStore)};
+  for (const Result<RoofProbe>& roof : roofs)
+    if (!roof) return roof.error();
   const auto seconds = [](NetworkRun& run) -> Result<double> {
     const double start = processor_seconds();
     SHALE_TRY_VOID(run.run());
@@ -455,7 +459,7 @@ Result<Measured> measure_operator(const Operator& c) {
   SHALE_TRY_VOID(fast.run());
   const bool is_long = c.gop > 1;  // the driver's own time does not show there
   if (!is_long) SHALE_TRY_VOID(slow.run());
-  std::vector<double> ours, theirs, gops, gbytes;
+  std::vector<double> ours, theirs, gbytes, rates[std::size(roofs)];
   for (int turn = 0; turn < (is_long ? 1 : 3); ++turn) {
     SHALE_TRY(const double slow_seconds, seconds(slow));
     theirs.push_back(slow_seconds);
@@ -463,14 +467,18 @@ Result<Measured> measure_operator(const Operator& c) {
       SHALE_TRY(const double fast_seconds, seconds(fast));
       ours.push_back(fast_seconds);
     }
-    const double start = processor_seconds();
-    SHALE_TRY_VOID(roof->measure());
-    gops.push_back(1e-9 * roof->operations() / (processor_seconds() - start));
+    for (size_t i = 0; i < std::size(roofs); ++i) {
+      const double start = processor_seconds();
+      SHALE_TRY_VOID(roofs[i]->measure());
+      rates[i].push_back(1e-9 * roofs[i]->work() / (processor_seconds() - start));
+    }
     gbytes.push_back(memory_rate());
   }
   found.seconds = median(ours);
   found.naive_seconds = median(theirs);
-  found.gops = median(gops);
+  found.gops = median(rates[0]);
+  found.fetched = median(rates[1]);
+  found.stored = median(rates[2]);
   found.gbytes = median(gbytes);
   return found;
 }
@@ -502,16 +510,19 @@ void print_ratios() {
   fmt::print(
       "\nMilliseconds of one processor.\n\n| operator | kernel | ms | naive | times naive | G/s | "
       "of "
-      "roof | GB/s | of memory roof |\n|---|---|---:|---:|---:|---:|---:|---:|---:|\n");
+      "roof | GB/s | of memory roof | of fetches and stores |\n"
+      "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n");
   for (const Operator& c : kOperators) {
     const auto found = measured().find(c.name);
     if (found == measured().end()) continue;
     const Measured& m = found->second;
-    const double gops = c.gop / m.seconds, gbytes = m.moved_gb / m.seconds;
-    fmt::print("| {} | {} | {:.1f} | {:.1f} | {:.1f} | {:.2f} | {:.0f} % | {:.1f} | {:.0f} % |\n",
-               c.name, m.kernels, 1e3 * m.seconds, 1e3 * m.naive_seconds,
-               m.naive_seconds / m.seconds, gops, 100 * gops / m.gops, gbytes,
-               100 * gbytes / m.gbytes);
+    const double gops = c.gop / m.seconds, gbytes = (m.read_gb + m.written_gb) / m.seconds;
+    fmt::print(
+        "| {} | {} | {:.1f} | {:.1f} | {:.1f} | {:.2f} | {:.0f} % | {:.1f} | {:.0f} % | {:.0f} % "
+        "|\n",
+        c.name, m.kernels, 1e3 * m.seconds, 1e3 * m.naive_seconds, m.naive_seconds / m.seconds,
+        gops, 100 * gops / m.gops, gbytes, 100 * gbytes / m.gbytes,
+        100 * (m.read_gb / m.fetched + m.written_gb / m.stored) / m.seconds);
   }
 }
 

@@ -296,7 +296,7 @@ Result<Json> compare(const Arguments& arguments, const ToolDevice& device, pthre
   SHALE_TRY(NetworkRun network, NetworkRun::create(device, compiled.package));
   SHALE_TRY(Peer int8, Peer::create(graph, true, pool));
   SHALE_TRY(Peer fp32, Peer::create(graph, false, pool));
-  SHALE_TRY(MulAddRoof probe, MulAddRoof::create(device));
+  SHALE_TRY(RoofProbe probe, RoofProbe::create(device));
   Spread shale_ms, int8_ms, fp32_ms;
   std::vector<double> roofs;
   for (uint32_t i = 0; i <= arguments.repeat; ++i) {  // the first turn warms caches and compiles

@@ -54,7 +54,7 @@ class EveryKernel : public testing::TestWithParam<std::tuple<std::string, ConvCa
     options.pass_options.optimize = optimize;
     Compiled compiled = must(compile_graph(graph, 0, options));
     // Sums whose weights are not known have no bounds.
-    const bool is_known = graph.inputs.size() == 1 || kernel != "products";
+    const bool is_known = graph.inputs.size() == 1;
     if (is_known) {
       EXPECT_EQ(compiled.warnings, std::vector<std::string>());
     }
@@ -182,6 +182,7 @@ TEST_P(EveryKernel, MatchesTheInterpreterExactly) {
 std::vector<DType> types_of(std::string_view kernel) {
   if (kernel == "conv2d_s16_f64") return {DType::kInt16};
   if (kernel == "products") return {DType::kFp32, DType::kFp16};
+  if (kernel == "transpose") return {};
   if (kernel == "runs") return {DType::kInt8, DType::kInt16, DType::kFp32, DType::kFp16};
   return {DType::kInt8};
 }
@@ -202,52 +203,182 @@ INSTANTIATE_TEST_SUITE_P(Kernels, EveryKernel, testing::ValuesIn(every_case()),
                                "minus");
                          });
 
-/// Products of two tensors in memory: tiles that fill their rows and columns and some that do not, runs of sums that are
-/// longer than a float is exact, and zero points.
-class Products : public EveryKernel {};
+/// Graphs that a family by name has to take. `;` ends a line.
+class Named : public EveryKernel {};
 
-TEST_P(Products, MatchTheInterpreterExactly) {
-  std::string text = std::get<1>(GetParam()).name;
-  std::replace(text.begin(), text.end(), ';', '\n');
-  const Graph graph = graph_of(fmt::format("graph main {{ {} return %y }}", text));
+TEST_P(Named, MatchesTheInterpreterExactly) {
+  const auto& [kernel, row] = GetParam();
+  const Graph graph =
+      graph_of(fmt::format("graph main {{ {} return %y }}", replaced(row.name, ";", "\n")));
   ASSERT_TRUE(verify(graph)) << error_text(verify(graph));
-  EXPECT_EQ(expect_exact(graph, "products", true), std::vector<std::string>{"products"});
+  const std::vector<std::string> taken = expect_exact(graph, kernel, true);
+  EXPECT_EQ(static_cast<size_t>(std::ranges::count(taken, kernel)), taken.size());
 }
 
-constexpr const char* kProducts[] = {
-    "input %a : i8[2,5,9] input %b : i8[2,9,6] const %p : i8[1] = [-128] const %q : i8[1] = [127];"
-    "%y = matmul %a, %b, %p, %q : i32[2,5,6]",
-    "input %a : i8[1,3,1500] input %b : i8[1,1500,32] const %z : i8[1] = [0];"
-    "%y = matmul %a, %b, %z, %z : i32[1,3,32]",
-    "input %a : f32[1,17,40] input %b : f32[1,40,48] const %z : f32[1] = [0];"
-    "%y = matmul %a, %b, %z, %z : f32[1,17,48]",
-    "input %a : f16[2,4,7] input %b : f16[2,7,12] const %z : f16[1] = [0];"
-    "%y = matmul %a, %b, %z, %z : f32[2,4,12]",
-    "input %x : i8[2,5,7,16] input %w : i8[6,3,3,16] const %b : i32[1] = [5];"
-    "const %p : i8[1] = [-128] const %q : i8[1] = [3] %y = conv2d %x, %w, %b, %p, %q "
-    "{pad=[1,1,2,0], stride=[2,1], dilation=[1,1], acc_type=i32} : i32[2,3,7,6]",
-    "input %x : i8[1,3,4,260] input %w : i8[17,1,2,260] const %b : i32[1] = [0];"
-    "const %p : i8[1] = [-128] const %q : i8[1] = [127] %y = conv2d %x, %w, %b, %p, %q "
-    "{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,3,3,17]",
-    "input %x : f32[1,1,4,5,1] input %w : f32[3,1,2,2,1];"
-    "const %b : f32[3] = [1.5,-2.0,0.25] const %z : f32[1] = [0];"
-    "%y = conv3d %x, %w, %b, %z, %z {pad=[0,0,0,0,0,0], stride=[1,1,1], dilation=[1,1,1], "
-    "acc_type=f32} : f32[1,1,3,4,3]",
-    "input %x : i8[1,3,5,6,8] input %w : i8[4,2,3,3,8] const %b : i32[4] = [1,-2,3,-4];"
-    "const %p : i8[1] = [7] const %q : i8[1] = [0] %y = conv3d %x, %w, %b, %p, %q "
-    "{pad=[1,0,1,1,1,1], stride=[1,2,1], dilation=[1,1,1], acc_type=i32} : i32[1,3,3,6,4]",
+constexpr std::array<std::string_view, 2> kNamed[] = {
+    // Tiles that fill their rows and columns and some that do not, runs of sums that are longer than a float is exact, and
+    // zero points.
+    {"products",
+     "input %a : i8[2,5,9] input %b : i8[2,9,6] const %p : i8[1] = [-128] const %q : i8[1] = [127];"
+     "%y = matmul %a, %b, %p, %q : i32[2,5,6]"},
+    {"products",
+     "input %a : i8[1,3,1500] input %b : i8[1,1500,32] const %z : i8[1] = [0];"
+     "%y = matmul %a, %b, %z, %z : i32[1,3,32]"},
+    {"products",
+     "input %a : f32[1,17,40] input %b : f32[1,40,48] const %z : f32[1] = [0];"
+     "%y = matmul %a, %b, %z, %z : f32[1,17,48]"},
+    {"products",
+     "input %a : f16[2,4,7] input %b : f16[2,7,12] const %z : f16[1] = [0];"
+     "%y = matmul %a, %b, %z, %z : f32[2,4,12]"},
+    {"products",
+     "input %x : i8[2,5,7,16] input %w : i8[6,3,3,16] const %b : i32[1] = [5];"
+     "const %p : i8[1] = [-128] const %q : i8[1] = [3] %y = conv2d %x, %w, %b, %p, %q "
+     "{pad=[1,1,2,0], stride=[2,1], dilation=[1,1], acc_type=i32} : i32[2,3,7,6]"},
+    {"products",
+     "input %x : i8[1,3,4,260] input %w : i8[17,1,2,260] const %b : i32[1] = [0];"
+     "const %p : i8[1] = [-128] const %q : i8[1] = [127] %y = conv2d %x, %w, %b, %p, %q "
+     "{pad=[0,0,0,0], stride=[1,1], dilation=[1,1], acc_type=i32} : i32[1,3,3,17]"},
+    {"products",
+     "input %x : f32[1,1,4,5,1] input %w : f32[3,1,2,2,1];"
+     "const %b : f32[3] = [1.5,-2.0,0.25] const %z : f32[1] = [0];"
+     "%y = conv3d %x, %w, %b, %z, %z {pad=[0,0,0,0,0,0], stride=[1,1,1], dilation=[1,1,1], "
+     "acc_type=f32} : f32[1,1,3,4,3]"},
+    {"products",
+     "input %x : i8[1,3,5,6,8] input %w : i8[4,2,3,3,8] const %b : i32[4] = [1,-2,3,-4];"
+     "const %p : i8[1] = [7] const %q : i8[1] = [0] %y = conv3d %x, %w, %b, %p, %q "
+     "{pad=[1,0,1,1,1,1], stride=[1,2,1], dilation=[1,1,1], acc_type=i32} : i32[1,3,3,6,4]"},
+    // Windows that reach out of the picture on each side, or on none, written out or in loops.
+    {"runs",
+     "input %x : i8[1,7,9,16] %y = max_pool2d %x {kernel=[3,2], stride=[2,1], pad=[1,1,1,0]} : "
+     "i8[1,4,9,16]"},
+    {"runs",
+     "input %x : i8[2,6,8,4] %y = max_pool2d %x {kernel=[2,2], stride=[2,2], pad=[0,0,0,0]} : "
+     "i8[2,3,4,4]"},
+    {"runs",
+     "input %x : i8[1,9,9,8] %y = max_pool2d %x {kernel=[5,5], stride=[1,1], pad=[2,2,2,2]} : "
+     "i8[1,9,9,8]"},
+    {"runs",
+     "input %x : f32[1,5,6,8] %y = max_pool2d %x {kernel=[3,3], stride=[1,1], pad=[1,1,1,1], "
+     "nan_mode=propagate} : f32[1,5,6,8]"},
+    {"runs",
+     "input %x : f16[1,5,6,8] %y = max_pool2d %x {kernel=[3,3], stride=[1,1], pad=[1,1,1,1], "
+     "nan_mode=ignore} : f16[1,5,6,8]"},
+    {"runs",
+     "input %x : i8[1,6,8,16] const %p : i8[1] = [-128] const %q : i8[1] = [3];"
+     "%y = avg_pool2d %x, %p, %q {kernel=[2,2], stride=[2,2], pad=[0,0,0,0], acc_type=i32} : "
+     "i8[1,3,4,16]"},
+    {"runs",
+     "input %x : i8[1,5,8,4] const %p : i8[1] = [7] const %q : i8[1] = [-1];"
+     "%y = avg_pool2d %x, %p, %q {kernel=[3,4], stride=[1,2], pad=[1,2,2,2], acc_type=i32} : "
+     "i8[1,6,5,4]"},
+    {"runs",
+     "input %x : i16[1,12,12,4] const %z : i16[1] = [0];"
+     "%y = avg_pool2d %x, %z, %z {kernel=[12,11], stride=[1,1], pad=[0,0,0,0], acc_type=i32} : "
+     "i16[1,1,2,4]"},
+    {"runs",
+     "input %x : i16[1,4,6,2] const %z : i16[1] = [0];"
+     "%y = avg_pool2d %x, %z, %z {kernel=[3,3], stride=[1,1], pad=[0,0,0,0], acc_type=i32} : "
+     "i16[1,2,4,2]"},
+    {"runs",
+     "input %x : f32[1,5,6,4] const %z : f32[1] = [0] %y = avg_pool2d %x, %z, %z {kernel=[3,3], "
+     "stride=[1,1], "
+     "pad=[1,1,1,1], acc_type=f32} : f32[1,5,6,4]"},
+    {"runs",
+     "input %x : f32[1,6,7,8] input %w : f32[3,3,8,1] const %b : f32[1] = [0.5] const %z : f32[1] "
+     "= [0];"
+     "%y = depthwise_conv2d %x, %w, %b, %z, %z {pad=[1,1,1,1], stride=[1,1], dilation=[1,1], "
+     "acc_type=f32} "
+     ": f32[1,6,7,8]"},
+    {"runs",
+     "input %x : i8[1,8,9,4] input %w : i8[3,2,4,2] const %b : i32[1] = [5] const %p : i8[1] = "
+     "[-128];"
+     "const %q : i8[1] = [3] %y = depthwise_conv2d %x, %w, %b, %p, %q {pad=[2,3,0,1], "
+     "stride=[2,2], "
+     "dilation=[2,1], acc_type=i32} : i32[1,5,5,8]"},
+    {"runs",
+     "input %x : i8[1,9,9,4] input %w : i8[5,5,4,1] const %b : i32[1] = [0] const %z : i8[1] = [0];"
+     "%y = depthwise_conv2d %x, %w, %b, %z, %z {pad=[2,2,2,2], stride=[1,1], dilation=[1,1], "
+     "acc_type=i32} "
+     ": i32[1,9,9,4]"},
+    // Turns of 32 elements and of fewer.
+    {"runs", "input %x : i8[1,3,5,64] %y = argmax %x {axis=3} : i32[1,3,5]"},
+    {"runs", "input %x : i8[1,3,5,20] %y = argmax %x {axis=3} : i32[1,3,5]"},
+    {"runs", "input %x : i8[1,3,5,7] %y = argmax %x {axis=3} : i32[1,3,5]"},
+    {"runs", "input %x : i8[1,6,5,8] %y = argmax %x {axis=1} : i32[1,5,8]"},
+    {"runs", "input %x : f32[1,3,5,32] %y = argmax %x {axis=3, nan_mode=propagate} : i32[1,3,5]"},
+    {"runs", "input %x : f32[1,3,5,12] %y = argmax %x {axis=3, nan_mode=ignore} : i32[1,3,5]"},
+    {"runs",
+     "input %a : i8[1,3,5,32] %x = cast %a : i32[1,3,5,32] %y = reduce_sum %x {axis=3} : "
+     "i32[1,3,5,1]"},
+    {"runs", "input %x : f32[1,3,5,48] %y = reduce_sum %x {axis=3} : f32[1,3,5,1]"},
+    {"runs",
+     "input %x : i8[1,4,5,16] const %s : shape[4] = [16,1,3,2] const %o : shape[2] = [0,-1];"
+     "const %b : shape[2] = [0,1] %y = resize %x, %s, %o, %b {mode=bilinear} : i32[1,49,8,16]"},
+    // Elements that are taken as one row, and some that cannot be.
+    {"runs", "input %a : i32[1,4,4,3] input %b : i32[1,4,4,3] %y = maximum %a, %b : i32[1,4,4,3]"},
+    {"runs", "input %a : i32[1,4,4,3] input %b : i32[1,1,1,3] %y = maximum %a, %b : i32[1,4,4,3]"},
+    {"runs",
+     "input %a : i32[1,4,4,3] const %b : i32[1,1,1,1] = [5] %y = maximum %a, %b : i32[1,4,4,3]"},
+    {"runs", "input %a : f32[3,5,3] %y = cast %a : i8[3,5,3]"},
+    {"runs", "input %a : f32[2,16,3] %y = cast %a : i16[2,16,3]"},
+    {"runs",
+     "input %a : f32[7] const %b : f32[7] = [1,-2,3,-4,5,-6,7] %y = maximum %a, %b "
+     "{nan_mode=propagate} : f32[7]"},
+    {"runs",
+     "input %a : f32[2,4,2] const %b : f32[2,4,2] = [1,-2,3,-4,5,-6,7,8,9,10,11,12,13,14,15,16];"
+     "%y = minimum %a, %b {nan_mode=ignore} : f32[2,4,2]"},
+    {"runs",
+     "input %a : i8[1,2,8,3] const %m : i32[3] = [1073741824,1431655765,2000000000] const %s : "
+     "i8[3] = [31,33,30];"
+     "const %z : i8[1] = [-3] %y = rescale %a, %m, %s, %z, %z {scale32=true, rounding_mode=single, "
+     "per_channel=true, "
+     "input_unsigned=false, output_unsigned=false} : i8[1,2,8,3]"},
+    // Tiles of 16, 8, 4 and 2 elements; more rows than columns, and other dimensions before, between and behind.
+    {"transpose", "input %x : i8[1,5,16,32] %y = transpose %x {perms=[0,3,1,2]} : i8[1,32,5,16]"},
+    {"transpose", "input %x : i8[2,32,6,16] %y = transpose %x {perms=[0,2,3,1]} : i8[2,6,16,32]"},
+    {"transpose", "input %x : i8[3,4,5,12] %y = transpose %x {perms=[3,2,0,1]} : i8[12,5,3,4]"},
+    {"transpose", "input %x : i16[7,16,24] %y = transpose %x {perms=[0,2,1]} : i16[7,24,16]"},
+    {"transpose", "input %x : f16[6,10] %y = transpose %x {perms=[1,0]} : f16[10,6]"},
+    {"transpose", "input %x : f32[12,3,20] %y = transpose %x {perms=[2,1,0]} : f32[20,3,12]"},
+    {"transpose",
+     "input %x : i32[2,3,8,2,4] %y = transpose %x {perms=[1,4,3,0,2]} : i32[3,4,2,2,8]"},
+    {"transpose", "input %x : i8[272,144] %y = transpose %x {perms=[1,0]} : i8[144,272]"},
 };
 
-std::vector<std::tuple<std::string, ConvCase>> every_product() {
+std::vector<std::tuple<std::string, ConvCase>> every_named() {
   std::vector<std::tuple<std::string, ConvCase>> cases;
-  for (const char* text : kProducts) cases.emplace_back("products", ConvCase{.name = text});
+  for (const auto& [kernel, text] : kNamed)
+    cases.emplace_back(kernel, ConvCase{.name = std::string(text)});
   return cases;
 }
 
-INSTANTIATE_TEST_SUITE_P(Kernels, Products, testing::ValuesIn(every_product()),
-                         [](const testing::TestParamInfo<Products::ParamType>& test) {
-                           return fmt::format("case{}", test.index);
+INSTANTIATE_TEST_SUITE_P(Kernels, Named, testing::ValuesIn(every_named()),
+                         [](const testing::TestParamInfo<Named::ParamType>& test) {
+                           return fmt::format("{}_{}", std::get<0>(test.param), test.index);
                          });
+
+/// Values of 8 and 16 bits scaled by every shift, the smallest and the largest multiplier, halves among the results.
+TEST_F(EveryKernel, ScalesSmallValuesExactly) {
+  if (!device_) GTEST_SKIP() << "no Vulkan device";
+  std::string text = "graph main { input %x : i16[1,1,1,64]\nconst %z : i16[1] = [0]\n";
+  std::vector<std::string> results;
+  for (const int64_t shift : {17, 18, 30, 31, 32, 38, 45, 46, 47, 60, 62})
+    for (const int64_t multiplier :
+         {int64_t{1} << 30, int64_t{INT32_MAX}, int64_t{1'431'655'765}}) {
+      const size_t i = results.size();
+      results.push_back(fmt::format("%y{}", i));
+      text += fmt::format(
+          "const %m{0} : i32[1] = [{1}] const %s{0} : i8[1] = [{2}]\n%y{0} = rescale %x, %m{0}, "
+          "%s{0}, %z, %z "
+          "{{scale32=true, rounding_mode=single, per_channel=false, input_unsigned=false, "
+          "output_unsigned=false}} "
+          ": i16[1,1,1,64]\n",
+          i, multiplier, shift);
+    }
+  const Graph graph = graph_of(fmt::format("{} return {} }}", text, fmt::join(results, ", ")));
+  ASSERT_TRUE(verify(graph)) << error_text(verify(graph));
+  expect_exact(graph, "runs", true);
+}
 
 /// Every step of the ladder of scales in one convolution, a channel each: multipliers at both ends, shifts from 2 to 62, and
 /// sums as large as a shift takes. `bias` stands on the channels whose shift takes any sum.

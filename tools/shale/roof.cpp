@@ -17,6 +17,7 @@ struct Probe {
   double work = 0;   ///< operations or bytes of an invocation
   uint32_t groups = 8192;
   bool texels = false;  ///< reads x through a texel buffer of 16 bytes a texel
+  bool wide = false;    ///< stores four times four of r
   std::string declarations;
 };
 
@@ -48,14 +49,15 @@ Result<NetworkRun> prepare(const ToolDevice& device, const Probe& probe) {
       "#version 450\n#extension GL_EXT_spirv_intrinsics : enable\n" + probe.declarations +
       fmt::format(
           "layout(local_size_x = {}) in;\n"
-          "layout(set = 0, binding = 0, std430) writeonly buffer Y {{ int y[]; }};\n{}",
-          kLocal,
+          "layout(set = 0, binding = 0, std430) writeonly buffer Y {{ {} y[]; }};\n{}",
+          kLocal, probe.wide ? "ivec4" : "int",
           probe.texels ? "layout(set = 0, binding = 1) uniform usamplerBuffer v;\n"
                        : "layout(set = 0, binding = 1, std430) readonly buffer X { ivec4 "
                          "v[]; };\n") +
       "void main() {\n  int id = int(gl_GlobalInvocationID.x);\n" +
       (probe.texels ? "  int x = id;\n" : "  int x = v[id & 3].x + id;\n") + probe.body +
-      "  y[id] = r;\n}\n";
+      (probe.wide ? "  for (int i = 0; i < 4; ++i) y[4 * id + i] = ivec4(r, r + 1, r + i, i);\n}\n"
+                  : "  y[id] = r;\n}\n");
   SHALE_TRY(const Spirv words, compile_glsl(source, {}, "roof"));
   SHALE_TRY(const SpirvNeeds needs, spirv_needs(words, "roof"));
   Package package;
@@ -65,7 +67,8 @@ Result<NetworkRun> prepare(const ToolDevice& device, const Probe& probe) {
   x.name = "x", x.category = Category::kInput;
   x.dtype = DType::kInt8, x.shape = {4 * kInputWords}, x.size_bytes = 4 * kInputWords;
   y.name = "y", y.category = Category::kOutput, y.dtype = DType::kInt32;
-  y.shape = {int64_t{probe.groups} * kLocal}, y.size_bytes = uint64_t{4} * probe.groups * kLocal;
+  const int64_t results = int64_t{probe.groups} * kLocal * (probe.wide ? 16 : 1);
+  y.shape = {results}, y.size_bytes = static_cast<uint64_t>(4 * results);
   variant.resources = {x, y};
   variant.modules = {words};
   Dispatch dispatch;
@@ -116,22 +119,38 @@ std::vector<Probe> mul_add_probes() {
           arithmetic("float", "a{0} = a{0} * v + {1}.0", "v *= 0.5", 16, 4, 2)};
 }
 
+std::vector<Probe> fetch_probes() {
+  constexpr int kReads = 64;
+  Probe fetch{
+      .body = "  uvec4 s = uvec4(0);\n", .work = 16.0 * kReads, .texels = true, .declarations = {}};
+  for (int i = 0; i < kReads; ++i)
+    fetch.body += fmt::format("  s += texelFetch(v, (x + {}) & 0x3ffff);\n", 61 * i);
+  fetch.body += "  int r = int(s.x + s.y + s.z + s.w);\n";
+  return {fetch};
+}
+
+std::vector<Probe> store_probes() {
+  return {{.body = "  int r = x;\n", .work = 64, .wide = true, .declarations = {}}};
+}
+
 }  // namespace
 
-Result<MulAddRoof> MulAddRoof::create(const ToolDevice& device) {
+Result<RoofProbe> RoofProbe::create(const ToolDevice& device, RoofKind kind) {
   constexpr uint32_t kTries = 5;
-  std::optional<MulAddRoof> best;
+  std::optional<RoofProbe> best;
   double best_rate = 0;
-  for (const Probe& probe : mul_add_probes()) {
+  for (const Probe& probe : kind == RoofKind::kMulAdd  ? mul_add_probes()
+                            : kind == RoofKind::kFetch ? fetch_probes()
+                                                       : store_probes()) {
     SHALE_TRY(NetworkRun run, prepare(device, probe));
     SHALE_TRY(const double rate, median_rate(run, total_work(probe), kTries));
-    if (rate > best_rate) best = MulAddRoof(std::move(run), total_work(probe)), best_rate = rate;
+    if (rate > best_rate) best = RoofProbe(std::move(run), total_work(probe)), best_rate = rate;
   }
   SHALE_CHECK(best);  // rates are above 0
   return *std::move(best);
 }
 
-Result<double> MulAddRoof::measure() {
+Result<double> RoofProbe::measure() {
   SHALE_TRY(const std::vector<DispatchTime> times, run_.measure());
   return 1e-3 * work_ / std::max(times[0].time_us, 1e-3);
 }
@@ -161,18 +180,14 @@ Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repea
         "6019], id = 4450)\nint dot8(int a, int b, spirv_literal int format);\n";
     SHALE_TRY_VOID(add("int8 dot product", "GOP/s", {dot}));
   }
+  SHALE_TRY_VOID(add("texel fetch", "GB/s", fetch_probes()));
   constexpr int kReads = 64;
-  Probe fetch{
-      .body = "  uvec4 s = uvec4(0);\n", .work = 16.0 * kReads, .texels = true, .declarations = {}};
-  for (int i = 0; i < kReads; ++i)
-    fetch.body += fmt::format("  s += texelFetch(v, (x + {}) & 0x3ffff);\n", 61 * i);
-  fetch.body += "  int r = int(s.x + s.y + s.z + s.w);\n";
-  SHALE_TRY_VOID(add("texel fetch", "GB/s", {fetch}));
   Probe read{.body = "  ivec4 s = ivec4(0);\n", .work = 16.0 * kReads, .declarations = {}};
   for (int i = 0; i < kReads; ++i)
     read.body += fmt::format("  s += v[(x + {}) & 0x3ffff];\n", 61 * i);
   read.body += "  int r = s.x + s.y + s.z + s.w;\n";
   SHALE_TRY_VOID(add("storage buffer read", "GB/s", {read}));
+  SHALE_TRY_VOID(add("storage buffer store", "GB/s", store_probes()));
   return roofs;
 }
 
@@ -180,7 +195,7 @@ Result<RoofedTimes> measure_under_roof(const ToolDevice& device, const Package& 
                                        const std::vector<Tensor>& inputs, uint32_t repeat) {
   SHALE_TRY(NetworkRun network, NetworkRun::create(device, package, inputs));
   SHALE_TRY_VOID(network.run());
-  SHALE_TRY(MulAddRoof probe, MulAddRoof::create(device));
+  SHALE_TRY(RoofProbe probe, RoofProbe::create(device));
   std::vector<std::vector<DispatchTime>> frames;
   std::vector<double> roofs, wholes;
   for (uint32_t i = 0; i < repeat; ++i) {

@@ -17,25 +17,32 @@ struct Roof {
 
 /// Measures, by device timestamps and as medians of `repeat` runs, float32 multiply and add (the roof
 /// of float kernels), fma, int32 multiply and add, the int8 dot product where the device has it, fetches
-/// from texel buffers of 16 bytes a texel, and reads and writes of storage buffers. A rate of arithmetic
+/// from texel buffers of 16 bytes a texel, reads of storage buffers, and stores of 16 bytes an invocation to them. A rate of arithmetic
 /// is the best of several shapes of code, in registers only.
 /// Errors: kDevice.
 Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat);
 
-/// The rate that shares of a roof refer to, float32 multiply and add, ready to be measured between
-/// other things: a processor's speed changes with what it and its neighbours did in the last minute.
-class MulAddRoof {
+/// What a probe does over and over.
+enum class RoofKind {
+  kMulAdd,  ///< float32 multiply and add, which shares of a roof refer to
+  kFetch,   ///< texels of 16 bytes
+  kStore,   ///< 16 bytes an invocation to a storage buffer
+};
+
+/// A rate, ready to be measured between other things: a processor's speed changes with what it and its neighbours did in
+/// the last minute.
+class RoofProbe {
  public:
   /// Takes the fastest of several shapes of code. Errors: kDevice.
-  static Result<MulAddRoof> create(const ToolDevice& device);
-  /// GOP/s now, of one run of some tens of milliseconds: shorter ones read too low. Errors: kDevice.
+  static Result<RoofProbe> create(const ToolDevice& device, RoofKind kind = RoofKind::kMulAdd);
+  /// GOP/s or GB/s now, of one run of some tens of milliseconds: shorter ones read too low. Errors: kDevice.
   Result<double> measure();
-  double operations() const { return work_; }  ///< of a run
+  double work() const { return work_; }  ///< operations or bytes of a run
 
  private:
-  MulAddRoof(NetworkRun run, double work) : run_(std::move(run)), work_(work) {}
+  RoofProbe(NetworkRun run, double work) : run_(std::move(run)), work_(work) {}
   NetworkRun run_;
-  double work_;  ///< operations of a run
+  double work_;
 };
 
 /// Medians of a network, its dispatches and the roof; the outputs are those of the last run.
