@@ -578,6 +578,56 @@ TEST_F(Cli, FitWritesConstantsThatBenchTakes) {
   }
 }
 
+TEST_F(Cli, EvalKnowsWhatComesInAtTheBorderFromAMargin) {
+  const std::string command =
+      "eval " SHALE_SOURCE_DIR
+      "/models/scenes/test/motion.json --generate 1 --render 96x54 --first 4 --frames 3 "
+      "--no-time -m " +
+      kModels + "/baselines/generation/repeat -m " + kModels +
+      "/baselines/mob_fgsr_extrapolation --json";
+  const auto pictures = [&](const std::string& more) {
+    const Outcome made = shale(command + more);
+    EXPECT_EQ(made.exit, 0) << made.text;
+    std::vector<nlohmann::json> generated;
+    const nlohmann::json report = nlohmann::json::parse(made.text);
+    for (const auto& method : report["scenes"][0]["methods"])
+      generated.push_back(method["means"]["generated"]);
+    return generated;
+  };
+  const std::vector<nlohmann::json> plain = pictures(""), with = pictures(" --margin 6");
+  ASSERT_EQ(plain.size(), with.size());
+  // The picture is the same: who repeats it gains nothing, but for cameras in 32 bits.
+  EXPECT_NEAR(plain[0]["psnr_db"], with[0]["psnr_db"].get<double>(), 0.02);
+  EXPECT_GT(with[1]["pixels"]["border"]["psnr_db"].get<double>(),
+            plain[1]["pixels"]["border"]["psnr_db"].get<double>() + 1);
+  const std::string scene = "eval " SHALE_SOURCE_DIR
+                            "/models/scenes/test/motion.json --margin 6 --frames 2 -m " +
+                            kModels;
+  EXPECT_NE(shale(scene + "/baselines/generation/repeat").text.find("give --generate or --at"),
+            std::string::npos);
+  EXPECT_NE(shale(scene + "/baselines/mob_fgsr_sr_extrapolation --generate 1")
+                .text.find("do not upscale"),
+            std::string::npos);
+}
+
+// lavapipe binds 128 MB at most, and MNSS's 32 channels of floats at this size have a little more.
+TEST_F(Cli, TradeLeavesOutWhatTheDeviceCannotRun) {
+  const Outcome made =
+      shale("trade " SHALE_SOURCE_DIR "/models/scenes/test/thin.json -o " + file("left_out") +
+            " -m " + kModels + "/mnss_x2," + kModels +
+            "/baselines/nearest --precisions fp32 --output-size 1040x1024 --frames 2 --json");
+  ASSERT_EQ(made.exit, 0) << made.text;
+  const nlohmann::json json = nlohmann::json::parse(made.text);
+  const bool binds_more = json["left_out"].empty();  // another driver
+  ASSERT_EQ(json["scenes"][0]["methods"].size(), binds_more ? 2u : 1u);
+  if (binds_more) GTEST_SKIP() << "the device runs it";
+  EXPECT_EQ(json["left_out"][0]["name"], "mnss_x2 fp32");
+  EXPECT_NE(json["left_out"][0]["why"].get<std::string>().find(
+                "maxStorageBufferRange is 134217728, needs 136314880"),
+            std::string::npos)
+      << json["left_out"];
+}
+
 TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
   const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
   const std::string command =

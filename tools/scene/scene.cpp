@@ -1,6 +1,7 @@
 #include "tools/scene/scene.h"
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <map>
 
@@ -712,6 +713,20 @@ Result<Scene> parse_scene(const std::string& text, const std::string& folder) {
   for (const Fields& light : lights) SHALE_TRY_VOID(parser.parse_light(light, 0, 0, false));
   SHALE_TRY(const std::vector<Fields> overlays, root.list("overlays", kMaxOverlays));
   for (const Fields& overlay : overlays) SHALE_TRY_VOID(parser.parse_overlay(overlay));
+  return scene;
+}
+
+Scene with_margin(Scene scene, uint32_t width, uint32_t height, uint32_t margin) {
+  constexpr double kRadians = 3.14159265358979323846 / 180;
+  const double wide = width + 2.0 * margin, high = height + 2.0 * margin;
+  double& fov = scene.camera.fov_y;
+  fov = 2 * std::atan(std::tan(fov / 2 * kRadians) * high / height) / kRadians;
+  for (Overlay& overlay : scene.overlays) {
+    overlay.x = (overlay.x * width + margin) / wide;
+    overlay.y = (overlay.y * height + margin) / high;
+    overlay.width *= width / wide;
+    overlay.height *= height / high;
+  }
   return scene;
 }
 

@@ -232,6 +232,10 @@ Result<Scene> parse_scene(const std::string& text, const std::string& folder = "
 /// Errors: kIo, kBadInput.
 Result<Scene> load_scene(const std::string& path);
 
+/// The scene as a picture of `width` by `height` pixels shows it that has `margin` more around it on each side: the pixels of the
+/// picture are the same, overlays stay where they are in it.
+Scene with_margin(Scene scene, uint32_t width, uint32_t height, uint32_t margin);
+
 /// A number that depends on its arguments alone, for everything random in a scene.
 uint32_t scene_hash(uint32_t a, uint32_t b);
 

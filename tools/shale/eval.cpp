@@ -18,6 +18,7 @@ struct Arguments {
   std::string page, json_file;
   uint32_t shown = 1, generate = 0;
   std::vector<double> at;
+  uint32_t margin = 0;
   SourceArguments source;
   CompileArguments compile;
   DeviceArguments device;
@@ -44,6 +45,7 @@ class Methods {
     methods_.clear();
     CompileArguments compile = arguments_.compile;
     compile.ratio = 0;  // the frames have their sizes
+    if (arguments_.margin > 0) compile.render.clear(), compile.output.clear();
     for (const std::string& path : arguments_.methods) {
       SHALE_TRY(const Sandwich sandwich, load_sandwich(path, compile, render, output));
       SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package.variants.front()));
@@ -142,6 +144,8 @@ Result<int> eval(const Arguments& arguments) {
   if (arguments.methods.empty() && arguments.pictures.empty())
     return bad_input("", "expected a --method or --pictures");
   SHALE_TRY(const std::vector<double> times, generated_times(arguments));
+  if (arguments.margin > 0 && times.empty())
+    return bad_input("--margin", "is for generated pictures: give --generate or --at");
   Outputs outputs;
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
@@ -154,6 +158,7 @@ Result<int> eval(const Arguments& arguments) {
     for (const std::string& input : arguments.inputs) {
       std::unique_ptr<FrameSource> source;
       SceneSource* scene_source = nullptr;
+      std::unique_ptr<SceneSource> with_margin;
       switch (source_kind(input)) {
         case SourceKind::kPictures:
           return bad_input(input,
@@ -170,18 +175,29 @@ Result<int> eval(const Arguments& arguments) {
           SHALE_TRY(std::unique_ptr<SceneSource> opened,
                     open_scene(input, arguments.source, device, sizes.first, sizes.second,
                                first.pattern));
+          if (arguments.margin > 0) {
+            if (sizes.first != sizes.second)
+              return bad_input("--margin",
+                               "is for methods that do not upscale, {} makes {}x{} of {}x{}",
+                               arguments.methods[0], sizes.second.width, sizes.second.height,
+                               sizes.first.width, sizes.first.height);
+            SHALE_TRY(with_margin, open_scene(input, arguments.source, device, sizes.first,
+                                              sizes.second, first.pattern, arguments.margin));
+          }
           scene_source = opened.get();
           source = std::move(opened);
         }
       }
+      const FrameSource& played = with_margin ? *with_margin : *source;
       SHALE_TRY(std::vector<PlayedMethod>* const ready,
-                methods.at(source->render_size(), source->output_size()));
+                methods.at(played.render_size(), played.output_size()));
       SHALE_TRY_VOID(add_pictures(arguments, source->name(), *ready));
       report.methods.clear();
       for (const PlayedMethod& method : *ready) report.methods.push_back(method.name);
       const EvaluateOptions options{.first_frame = arguments.source.first,
                                     .timed = !arguments.no_time,
-                                    .shown = arguments.page.empty() ? 0 : arguments.shown};
+                                    .shown = arguments.page.empty() ? 0 : arguments.shown,
+                                    .with_margin = with_margin.get()};
       if (!times.empty() && !scene_source)
         return bad_input(input, "is no scene: the truth of generated pictures has to be rendered");
       Result<EvalScene> scene =
@@ -232,6 +248,11 @@ Action add_eval(CLI::App& app) {
                  "the same at these times, in frames behind each frame: 0.5, or 1 in place of it")
       ->delimiter(',')
       ->excludes(generate);
+  app.add_option("--margin", arguments->margin,
+                 "render frames with so many pixels more on each side, which are cut off of what "
+                 "is generated: what comes in "
+                 "at the border is then known; needs --generate or --at")
+      ->check(CLI::Range(1u, 4096u));
   app.add_flag("--no-time", arguments->no_time, "measure no times");
   arguments->source.add_to(app);
   arguments->compile.add_to(app, &arguments->device);

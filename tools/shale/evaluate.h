@@ -22,6 +22,9 @@ struct EvaluateOptions {
   uint32_t first_frame = 0;  ///< number of the source's first frame, for plots
   bool timed = true;         ///< measure the dispatches of each frame
   uint32_t shown = 0;        ///< frames whose pictures are kept, the last and others before it
+  /// Of generated pictures: frames with a margin around the picture, which methods get in place of the source's own; what they
+  /// make of the margin is cut off.
+  SceneSource* with_margin = nullptr;
 };
 
 /// Plays the source through every method, all started without a past; shows progress on a terminal.

@@ -62,6 +62,20 @@ Result<FrameMetrics> judge(Track& track, const FloatImage& picture, const Refere
   return metrics;
 }
 
+/// The middle of an image.
+FloatImage middle(const FloatImage& image, uint32_t width, uint32_t height) {
+  if (image.width == width && image.height == height) return image;
+  FloatImage part{width, height, image.channels, {}};
+  const uint32_t x = (image.width - width) / 2, y = (image.height - height) / 2;
+  for (uint32_t row = 0; row < height; ++row) {
+    const auto from = image.values.begin() +
+                      (static_cast<std::ptrdiff_t>(y + row) * image.width + x) * image.channels;
+    part.values.insert(part.values.end(), from,
+                       from + static_cast<std::ptrdiff_t>(width) * image.channels);
+  }
+  return part;
+}
+
 class Evaluation {
  public:
   Evaluation(SceneSource& source, std::vector<PlayedMethod>& methods, std::span<const double> times,
@@ -88,6 +102,10 @@ class Evaluation {
     scene_.size =
         fmt::format("{}x{} to {}x{}", source_.render_size().width, source_.render_size().height,
                     source_.output_size().width, source_.output_size().height);
+    if (options_.with_margin)
+      scene_.size += fmt::format(
+          ", rendered with {} pixels around it",
+          (options_.with_margin->output_size().width - source_.output_size().width) / 2);
     scene_.methods.resize(tracks_.size());
     Progress progress("evaluating " + scene_.name);
     for (uint32_t i = 0; i < count; ++i) {
@@ -135,6 +153,10 @@ class Evaluation {
     // What lies ahead of the frame before is made before the next one is there.
     std::vector<std::vector<FloatImage>> pictures(tracks_.size());
     if (has_past) SHALE_TRY_VOID(generate(false, pictures));
+    const bool reverse_depth = given.camera.reverse_depth;
+    if (options_.with_margin) {
+      SHALE_TRY(given, options_.with_margin->frame(i, true));
+    }
     if (given.color.width == given.truth.width && given.color.height == given.truth.height) {
       given.color = given.truth;
       given.depth = given.truth_depth;
@@ -148,7 +170,7 @@ class Evaluation {
       SourceFrame taken = given;
       Result<FloatImage> shown = track.player->show(taken);
       if (!shown) return in_file(track.name, shown.error());
-      track.rendered = *std::move(shown);
+      track.rendered = inner(*std::move(shown));
     }
     if (has_past) SHALE_TRY_VOID(generate(true, pictures));
     for (size_t k = 0; has_past && k < times_.size(); ++k)
@@ -158,13 +180,19 @@ class Evaluation {
     SHALE_TRY_VOID(reference_.advance({.display = std::move(now.display),
                                        .motion = has_past ? &own.motion[0] : nullptr,
                                        .depth = has_past ? &own.depth : nullptr,
-                                       .reverse_depth = given.camera.reverse_depth,
+                                       .reverse_depth = reverse_depth,
                                        .cut = !has_past}));
     for (Track& track : tracks_)
       if (Result<FrameMetrics> ok = judge(track, track.rendered, reference_, false, {}, nullptr);
           !ok)
         return in_file(track.name, ok.error());
     return {};
+  }
+
+  /// Without the margin.
+  FloatImage inner(FloatImage picture) const {
+    if (!options_.with_margin) return picture;
+    return middle(picture, source_.output_size().width, source_.output_size().height);
   }
 
   /// Pictures of the methods that make them between frames, or of those that make them ahead.
@@ -181,7 +209,7 @@ class Evaluation {
         double total_us = 0;
         for (const DispatchTime& each : dispatches) total_us += each.time_us;
         if (options_.timed) track.time_ms.push_back(total_us / 1000);
-        pictures[t].push_back(*std::move(picture));
+        pictures[t].push_back(inner(*std::move(picture)));
       }
     }
     return {};

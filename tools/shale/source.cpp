@@ -81,8 +81,13 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
 Result<std::unique_ptr<SceneSource>> open_scene(const std::string& path,
                                                 const SourceArguments& arguments,
                                                 const ToolDevice& device, Extent render,
-                                                Extent output, const SamplingPattern& pattern) {
+                                                Extent output, const SamplingPattern& pattern,
+                                                uint32_t margin) {
   SHALE_TRY(Scene scene, load_scene(path));
+  if (margin > 0) {
+    scene = with_margin(std::move(scene), output.width, output.height, margin);
+    render = output = {output.width + 2 * margin, output.height + 2 * margin};
+  }
   SceneOptions options;
   options.pattern = pattern;
   if (!arguments.pattern.empty()) {

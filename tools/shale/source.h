@@ -37,11 +37,13 @@ Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
                                                   const SourceArguments& arguments);
 
 /// The frames of a scene, rendered on the device at these sizes; with `pattern` where the arguments
-/// give none.
+/// give none. With a margin the sizes are those of the picture, and the frames larger by twice the margin.
 /// Errors: as load_scene and SceneSource::create.
+/// Precondition: without a margin, or render and output size are equal.
 Result<std::unique_ptr<SceneSource>> open_scene(const std::string& path,
                                                 const SourceArguments& arguments,
                                                 const ToolDevice& device, Extent render,
-                                                Extent output, const SamplingPattern& pattern);
+                                                Extent output, const SamplingPattern& pattern,
+                                                uint32_t margin = 0);
 
 }  // namespace shale

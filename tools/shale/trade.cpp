@@ -10,6 +10,7 @@
 
 #include "ir/base/file.h"
 #include "ir/base/hash.h"
+#include "ir/package/rank.h"
 #include "tools/eval/data_page.h"
 #include "tools/scene/dataset.h"
 #include "tools/scene/scene_source.h"
@@ -482,6 +483,7 @@ Result<int> trade(const Arguments& arguments) {
             {"output", {output.width, output.height}},
             {"frame_ms", arguments.frame_ms},
             {"slacks_db", arguments.slacks_db},
+            {"left_out", Json::array()},
             {"scenes", Json::array()}};
   for (const SceneFrames& scene : scenes)
     json["scenes"].push_back({{"name", scene.scene.name}, {"methods", Json::array()}});
@@ -537,27 +539,40 @@ Result<int> trade(const Arguments& arguments) {
                  {"driver", tool.context().caps.driver}};
         if (contender.tiles) key["tiles"] = *contender.tiles;
         if (contender.is_specialised) key["needs"] = needs_text(needs[s]);
-        SHALE_TRY(Json cell, kept(arguments, key, [&]() -> Result<Json> {
-                    SHALE_TRY(const std::unique_ptr<FrameSource> source,
-                              frames_of(arguments, tool, scenes[s], sizes,
-                                        contender.files.frame->pattern));
-                    if (method.empty()) {
-                      SHALE_TRY(const Sandwich sandwich,
-                                load_sandwich(contender.path,
-                                              contender.compile(&arguments.tool, needs_files[s]),
-                                              Extent{sizes.render.width, sizes.render.height},
-                                              Extent{output.width, output.height}));
-                      method.push_back({contender.name(), nullptr});
-                      SHALE_TRY(method[0].player, Player::create(tool, sandwich.package));
-                    }
-                    return measure(*source, method);
-                  }));
+        Result<Json> cell = kept(arguments, key, [&]() -> Result<Json> {
+          SHALE_TRY(const std::unique_ptr<FrameSource> source,
+                    frames_of(arguments, tool, scenes[s], sizes, contender.files.frame->pattern));
+          if (method.empty()) {
+            SHALE_TRY(
+                const Sandwich sandwich,
+                load_sandwich(contender.path, contender.compile(&arguments.tool, needs_files[s]),
+                              Extent{sizes.render.width, sizes.render.height},
+                              Extent{output.width, output.height}));
+            const std::vector<RankedVariant> ranked =
+                rank_variants(sandwich.package.variants, tool.context().caps);
+            if (std::ranges::none_of(ranked, [](const auto& v) { return v.missing.empty(); }))
+              return unsupported(tool.context().caps.name, "{}",
+                                 fmt::join(ranked.front().missing, ", "));
+            method.push_back({contender.name(), nullptr});
+            SHALE_TRY(method[0].player, Player::create(tool, sandwich.package));
+          }
+          return measure(*source, method);
+        });
+        if (!cell && cell.error().code == ErrorCode::kUnsupported) {
+          print_warning(contender.name(), "left out: " + cell.error().text());
+          json["left_out"].push_back(
+              {{"name", contender.name()}, {"scale", scale}, {"why", cell.error().text()}});
+          if (contender.is_specialised) continue;  // the next scene has a package of its own
+          done += scenes.size() - s - 1;
+          break;
+        }
+        if (!cell) return cell.error();
         Json row{{"name", contender.name()},
                  {"model", contender.files.name},
                  {"precision", contender.precision},
                  {"baseline", contender.is_baseline()},
                  {"scale", scale}};
-        row.update(cell);
+        row.update(*cell);
         row["modelled"] = *model;
         if (contender.tiles) take_share(row, contender);
         json["scenes"][s]["methods"].push_back(std::move(row));
@@ -583,6 +598,9 @@ Result<int> trade(const Arguments& arguments) {
     fmt::print("\n");
   }
   print_scene(json["overall"]);
+  for (const Json& row : json["left_out"])
+    fmt::print("\n  left out: {} at x{}: {}\n", row["name"].get<std::string>(),
+               row["scale"].get<double>(), row["why"].get<std::string>());
   fmt::print("\n{}\n", (folder / "trade.html").string());
   return kDone;
 }

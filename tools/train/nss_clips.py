@@ -128,6 +128,13 @@ def _camera(rng: random.Random, scene: dict, first: int, view: View) -> None:
     scene["camera"] |= {"interpolation": "linear", "path": keys if kind >= 0.65 else keys[:1]}
 
 
+def _rest(scene: dict, first: int) -> None:
+    """The camera stays where the scene has it in the middle of the clip."""
+    at = first + VARIED_FRAMES // 2
+    key = min(scene["camera"]["path"], key=lambda key: abs(key["frame"] - at))
+    scene["camera"] |= {"interpolation": "linear", "path": [key]}
+
+
 def _light(rng: random.Random, scene: dict, first: int, view: View) -> None:
     """Night with lamps that swing fast, or a sun that races so that shadows sweep."""
     kind, sun, sky = rng.random(), scene["sun"], scene.setdefault("sky", {})
@@ -241,21 +248,27 @@ class Varied:
     json: dict
 
     @staticmethod
-    def of(number: int, scenes: Path) -> Varied:
-        """The clip with this number. Errors: OSError, ValueError for scenes that cannot be read."""
+    def of(number: int, scenes: Path, steady: bool = False) -> Varied:
+        """The clip with this number, `steady`: its light as the scene has it, the camera too or at rest. Errors: OSError,
+        ValueError for scenes that cannot be read."""
         rng = random.Random(number)
         path = rng.choice(sorted(scenes.glob("*.json")))
         ratio, _, size, firsts = rng.choices(RATIOS, [r[1] for r in RATIOS])[0]
         scene = json.loads(path.read_text())
         first = rng.choice([f for f in firsts if f + VARIED_FRAMES <= scene["frames"]])
         view = View.of(scene["camera"], first + VARIED_FRAMES // 2)
-        _camera(rng, scene, first, view)
-        _light(rng, scene, first, view)
-        flown = rng.random() < 0.4
-        if flown:
-            _flyers(rng, scene, first, view)
-        if rng.random() < 0.25:
-            _particles(rng, scene, view)
+        if steady:
+            flown = False
+            if rng.random() < 0.6:
+                _rest(scene, first)
+        else:
+            _camera(rng, scene, first, view)
+            _light(rng, scene, first, view)
+            flown = rng.random() < 0.4
+            if flown:
+                _flyers(rng, scene, first, view)
+            if rng.random() < 0.25:
+                _particles(rng, scene, view)
         step = 4 * ratio[0]
         wide, high, spread = 1920 - size, 1080 - size, 0.15 if flown else 0.4
         x, y = (int(min(max(rng.gauss(0.5, spread), 0), 1) * room) // step * step for room in (wide, high))
@@ -281,6 +294,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="data set folder")
     parser.add_argument("--varied", type=int, nargs="+", default=[0], metavar="N",
                         help="varied clips: how many, or the first and how many (default: 0)")
+    parser.add_argument("--steady", action="store_true", help="varied clips: without moving light and added things")
     parser.add_argument("--no-groups", action="store_true", help="varied clips alone")
     options = parser.parse_args(arguments)
     start, count = ([0] + options.varied)[-2:]
@@ -291,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
                     render(options, number, options.scenes / f"{scene}.json", first, FRAMES, (x, y, SIZE, SIZE), [])
         for number in range(VARIED_NUMBER + start, VARIED_NUMBER + start + count):
             if not (options.out / f"{number:04d}.json").exists():
-                clip = Varied.of(number, options.scenes)
+                clip = Varied.of(number, options.scenes, options.steady)
                 (options.out / "scenes").mkdir(parents=True, exist_ok=True)
                 scene = options.out / "scenes" / f"{number:04d}.json"
                 write_atomically(scene, (json.dumps(clip.json) + "\n").encode())

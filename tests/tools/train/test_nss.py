@@ -630,6 +630,20 @@ class Data(unittest.TestCase):
                 self.assertEqual(size * clip.ratio[1] % clip.ratio[0], 0, (clip.ratio, clip.crop))
             self.assertLessEqual(clip.first + nss_clips.VARIED_FRAMES, clip.json["frames"])
 
+    def test_steady_clips_change_the_camera_alone(self):
+        scenes = Path(__file__).resolve().parents[3] / "models" / "scenes" / "train"
+        resting = 0
+        for number in range(1000, 1030):
+            clip = nss_clips.Varied.of(number, scenes, steady=True)
+            scene = json.loads((scenes / f"{clip.scene}.json").read_text())
+            path = clip.json["camera"]["path"]
+            resting += len(path) == 1
+            self.assertTrue(path == scene["camera"]["path"] or path[0] in scene["camera"]["path"])
+            for key in scene:
+                if key != "camera":
+                    self.assertEqual(clip.json[key], scene[key], key)
+        self.assertTrue(10 <= resting <= 29, resting)
+
 
 class Job(unittest.TestCase):
     def test_a_job_trains_and_validates(self):

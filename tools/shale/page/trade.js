@@ -2,6 +2,7 @@
 (() => {
   const { data, colours, element, table, chart, group, dim, marker, start } = page;
   dim(`Quality measured on ${data.device} at ${data.output.join("x")}; time modelled on ${data.modelled_device} for results of ${data.modelled_output.join("x")}, passes by their memory traffic. Budget: ${data.frame_ms} ms a frame.`);
+  for (const row of data.left_out ?? []) element("p", `Left out: ${row.name} at x${row.scale}: ${row.why}`);
   const kinds = ["int8", "int16", "fp16", "fp32", ""];
   const label = (row) => `${row.name}, x${row.scale}`;
   const plot = (place, scene, title, quality, cost, costTitle, mark, budget) => {
