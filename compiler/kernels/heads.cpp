@@ -171,21 +171,19 @@ class HeadEmitter {
                                {in[axis + 1], c_.value(node_.output).type.shape[axis + 1],
                                 weight[axis], stride[axis], pad[2 * axis], dilation[axis]},
                                declared);
-        return whole(
-            declared + each_tap(taps, [&](const std::vector<std::string>& position,
-                                          const std::string& inside, size_t y, size_t x) {
-              return each([&](size_t i) {
-                const auto [value, w] = operands(i, {at_.coords[0], position[0], position[1]},
-                                                 {std::to_string(y), std::to_string(x)});
-                const std::string x_value = centred(value, 3);
-                // A tap outside adds 0 whatever the weight is, infinite ones included.
-                const std::string term =
-                    fmt::format("{}({}) * {}", accumulator(), x_value, centred(w, 4));
-                return fmt::format(
-                    "    {} += {};\n", acc(i),
-                    inside.empty() ? term : fmt::format("mix({}, {}, {})", zero(), term, inside));
-              });
-            }));
+        return whole(declared + each_tap(taps, [&](const std::vector<std::string>& position,
+                                                   const std::string& inside, size_t y, size_t x) {
+                       return each([&](size_t i) {
+                         const auto [value, w] =
+                             operands(i, {at_.coords[0], position[0], position[1]},
+                                      {std::to_string(y), std::to_string(x)});
+                         // A tap outside adds 0 whatever the weight is, infinite ones included.
+                         return fmt::format(
+                             "    {} += {};\n", acc(i),
+                             if_inside(inside, fmt::format("{}({}) * {}", accumulator(),
+                                                           centred(value, 3), centred(w, 4))));
+                       });
+                     }));
       }
       code = each([&](size_t i) {
         const auto [x, w] = operands(i, in_at, tap);
@@ -281,6 +279,11 @@ class HeadEmitter {
     return code;
   }
 
+  /// What a tap adds to a sum: 0 where it lies outside.
+  std::string if_inside(const std::string& inside, const std::string& term) const {
+    return inside.empty() ? term : fmt::format("mix({}, {}, {})", zero(), term, inside);
+  }
+
   std::string pool() {
     const bool average = node_.op == Op::kAvgPool2d;
     const std::span<const int64_t> kernel = node_.attrs.list(Attr::kKernel);
@@ -291,9 +294,7 @@ class HeadEmitter {
                                const std::string& inside) {
       const Position tap = along(i, {at_.coords[0], position[0], position[1]});
       if (average) {
-        const std::string x = centred(0, tap, 1);
-        return fmt::format("    {} += {};\n", acc(i),
-                           inside.empty() ? x : fmt::format("mix({}, {}, {})", zero(), x, inside));
+        return fmt::format("    {} += {};\n", acc(i), if_inside(inside, centred(0, tap, 1)));
       }
       const std::string x = c_.load(node_.inputs[0], tap);
       return fmt::format("    {} = {};\n", acc(i),

@@ -5,6 +5,7 @@
 #include <bit>
 
 #include "compiler/kernels/codegen.h"
+#include "ir/base/integer.h"
 
 namespace shale {
 namespace {
@@ -26,7 +27,7 @@ struct Blocks {
   }
   int64_t wide() const { return kLocalSize / high(); }
   std::array<int64_t, 3> workgroups() const {
-    return {(across + wide() - 1) / wide(), (down + high() - 1) / high(), others};
+    return {ceil_div(across, wide()), ceil_div(down, high()), others};
   }
 };
 

@@ -276,9 +276,10 @@ TEST_F(GenerationTest, WhatHasNoMotionVectorsIsFoundByItsLooks) {
       sum += std::abs(double{made.values[i]} - truth.values[i]);
     return sum;
   };
-  const double by_motion = error("mob_fgsr_interpolation");
+  // Without motion vectors, motion alone mixes the frames where they are.
+  const double by_motion = error("generation/blend");
   for (const char* name : {"motion_and_flow", "generation/nfru_by_hand", "../nfru"})
-    EXPECT_LT(error(name), 0.6 * by_motion) << name;
+    EXPECT_LT(error(name), 0.52 * by_motion) << name;
 }
 
 /// A text of 2x2 squares on a panel on the screen, over a checkered wall that the camera turns away from by 6 pixels a frame.

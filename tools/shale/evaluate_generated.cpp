@@ -64,7 +64,6 @@ Result<FrameMetrics> judge(Track& track, const FloatImage& picture, const Refere
 
 /// The middle of an image.
 FloatImage middle(const FloatImage& image, uint32_t width, uint32_t height) {
-  if (image.width == width && image.height == height) return image;
   FloatImage part{width, height, image.channels, {}};
   const uint32_t x = (image.width - width) / 2, y = (image.height - height) / 2;
   for (uint32_t row = 0; row < height; ++row) {

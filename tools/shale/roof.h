@@ -17,7 +17,7 @@ struct Roof {
 
 /// Measures, by device timestamps and as medians of `repeat` runs, float32 multiply and add (the roof
 /// of float kernels), fma, int32 multiply and add, the int8 dot product where the device has it, fetches
-/// from texel buffers of 16 bytes a texel, reads of storage buffers, and stores of 16 bytes an invocation to them. A rate of arithmetic
+/// from texel buffers of 16 bytes a texel, and reads and stores of storage buffers. A rate of arithmetic
 /// is the best of several shapes of code, in registers only.
 /// Errors: kDevice.
 Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repeat);
@@ -26,7 +26,7 @@ Result<std::vector<Roof>> measure_roofs(const ToolDevice& device, uint32_t repea
 enum class RoofKind {
   kMulAdd,  ///< float32 multiply and add, which shares of a roof refer to
   kFetch,   ///< texels of 16 bytes
-  kStore,   ///< 16 bytes an invocation to a storage buffer
+  kStore,   ///< four times 16 bytes an invocation to a storage buffer
 };
 
 /// A rate, ready to be measured between other things: a processor's speed changes with what it and its neighbours did in
