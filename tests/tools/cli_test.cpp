@@ -628,6 +628,39 @@ TEST_F(Cli, TradeLeavesOutWhatTheDeviceCannotRun) {
       << json["left_out"];
 }
 
+// The truth of a pattern of samples is taken from the frames of the other one.
+TEST_F(Cli, TradeGivesAModelFramesOfItsPattern) {
+  const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
+  const std::string command = "trade " + scene + " -o " + file("patterns") + " -m " + kModels +
+                              "/mnss_x2 --output-size 96x64 --frames 3";
+  ASSERT_EQ(shale(command).exit, 0);
+  ASSERT_EQ(shale("scene " + scene + " -o " + file("direct") +
+                  " --pattern mnss --render 48x32 --output-size 96x64 --frames 3")
+                .exit,
+            0);
+  std::map<std::string, std::string> wanted;
+  for (const auto& entry : fs::recursive_directory_iterator(file("direct")))
+    if (entry.is_regular_file())
+      wanted[fs::relative(entry.path(), file("direct")).string()] = read(entry.path());
+  ASSERT_GT(wanted.size(), 15u);
+  size_t folders = 0, equal = 0;
+  for (const auto& folder : fs::directory_iterator(file("patterns/frames"))) {
+    ++folders;
+    equal += std::all_of(wanted.begin(), wanted.end(), [&](const auto& one) {
+      return read(folder.path() / one.first) == one.second;
+    });
+  }
+  EXPECT_EQ(folders, 2u);
+  EXPECT_EQ(equal, 1u);
+  // What cannot be written is refused before the work.
+  fs::create_directories(file("taken/trade.json"));
+  const Outcome refused = shale("trade " + scene + " -o " + file("taken") + " -m " + kModels +
+                                "/mnss_x2 --output-size 96x64 --frames 3");
+  EXPECT_EQ(refused.exit, 1);
+  EXPECT_NE(refused.text.find("trade.json"), std::string::npos) << refused.text;
+  EXPECT_FALSE(fs::exists(file("taken/frames")));
+}
+
 TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
   const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
   const std::string command =

@@ -18,6 +18,7 @@
 #include "tools/shale/evaluate.h"
 #include "tools/shale/frame_cost.h"
 #include "tools/shale/measure_needs.h"
+#include "tools/shale/outputs.h"
 #include "tools/shale/report.h"
 #include "tools/shale/source.h"
 
@@ -157,7 +158,8 @@ struct SceneFrames {
   uint64_t hash = 0;  ///< of the scene, and of the program that renders it
 };
 
-/// The scene's frames at these sizes, rendered into the folder unless they are there.
+/// The scene's frames at these sizes, rendered into the folder unless they are there. The truth is the same for every
+/// pattern, so that only the first one's is rendered.
 Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const ToolDevice& device,
                                                const SceneFrames& scene, const Sizes& sizes,
                                                const SamplingPattern& pattern) {
@@ -174,6 +176,10 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
   if (fs::exists(folder / "0000.json", ignored)) return open_dataset(folder.string(), source);
   const Extent render{sizes.render.width, sizes.render.height},
       output{sizes.output.width, sizes.output.height};
+  std::unique_ptr<FrameSource> truths;
+  if (pattern != SamplingPattern{}) {
+    SHALE_TRY(truths, frames_of(arguments, device, scene, sizes, {}));
+  }
   SHALE_TRY(const std::unique_ptr<FrameSource> rendered,
             open_scene(scene.path, source, device, render, output, pattern));
   SHALE_TRY(DatasetWriter writer,
@@ -187,7 +193,13 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
   for (uint32_t i = 0; i < rendered->frame_count(); ++i) {
     if (!progress.step(i, rendered->frame_count()))
       return bad_input(scene.path, "interrupted after {} frames", i);
-    SHALE_TRY(const SourceFrame frame, rendered->frame(i, true));
+    SHALE_TRY(SourceFrame frame, rendered->frame(i, !truths));
+    if (truths) {
+      SHALE_TRY(SourceFrame other, truths->frame(i, true));
+      frame.truth = std::move(other.truth);
+      frame.truth_motion = std::move(other.truth_motion);
+      frame.truth_depth = std::move(other.truth_depth);
+    }
     SHALE_TRY_VOID(writer.add(frame));
   }
   SHALE_TRY_VOID(writer.finish());
@@ -470,10 +482,15 @@ Result<int> trade(const Arguments& arguments) {
     SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
     scenes.push_back({std::move(scene), path, stable_hash(bytes, program)});
   }
-  const fs::path cells = fs::path(arguments.folder) / "cells";
+  const fs::path folder(arguments.folder), cells = folder / "cells";
+  const std::string text_file = (folder / "trade.json").string(),
+                    page_file = (folder / "trade.html").string();
   std::error_code error;
   fs::create_directories(cells, error);
   if (error) return io_error(cells.string(), "cannot create: {}", error.message());
+  Outputs outputs;
+  SHALE_TRY_VOID(outputs.claim("the figures", text_file));
+  SHALE_TRY_VOID(outputs.claim("the page", page_file));
 
   SHALE_TRY(ToolDevice tool, ToolDevice::open(arguments.tool));
   Json json{{"schema", kTradeSchema},
@@ -580,15 +597,14 @@ Result<int> trade(const Arguments& arguments) {
     }
   }
   SHALE_TRY_VOID(tool.close());
-  json["overall"] = {{"name", fmt::format("mean of {} scenes", scenes.size())},
-                     {"methods", overall(json["scenes"])}};
+  json["overall"] = {
+      {"name", scenes.size() == 1 ? "the scene" : fmt::format("mean of {} scenes", scenes.size())},
+      {"methods", overall(json["scenes"])}};
   for (size_t s = 0; s < scenes.size(); ++s) finish(json["scenes"][s], arguments, words[s]);
   finish(json["overall"], arguments, {});
-  const fs::path folder(arguments.folder);
-  SHALE_TRY_VOID(write_text((folder / "trade.json").string(), json_text(json)));
-  SHALE_TRY_VOID(
-      write_text((folder / "trade.html").string(),
-                 data_page("Speed against accuracy", json, cost_page::kEmbeddedFiles[1].text)));
+  SHALE_TRY_VOID(write_text(text_file, json_text(json)));
+  SHALE_TRY_VOID(write_text(
+      page_file, data_page("Speed against accuracy", json, cost_page::kEmbeddedFiles[1].text)));
   if (arguments.json) {
     print_json(json);
     return kDone;
@@ -601,7 +617,7 @@ Result<int> trade(const Arguments& arguments) {
   for (const Json& row : json["left_out"])
     fmt::print("\n  left out: {} at x{}: {}\n", row["name"].get<std::string>(),
                row["scale"].get<double>(), row["why"].get<std::string>());
-  fmt::print("\n{}\n", (folder / "trade.html").string());
+  fmt::print("\n{}\n", page_file);
   return kDone;
 }
 

@@ -69,7 +69,8 @@ def tensor_name(conv: Conv) -> str:
 
 
 class Mnss(nn.Module):
-    """The three networks. ranges: largest value of each inner tensor of the graph, empty while training in float."""
+    """The three networks. ranges: largest value of each inner tensor of the graph, empty while training in float; half:
+    whether its inner convolutions run in bfloat16."""
 
     def __init__(self, scale: int):
         super().__init__()
@@ -80,6 +81,7 @@ class Mnss(nn.Module):
                                     for c in (INPAINT, AA, *RECONSTRUCTION)})
         self.ranges: dict[str, float] = {}
         self.observed: dict[str, list[float]] | None = None
+        self.half = False
         _initialise(self)
 
     def weight(self, difference: torch.Tensor) -> torch.Tensor:
@@ -96,8 +98,8 @@ class Mnss(nn.Module):
             x = torch.fake_quantize_per_tensor_affine(x, CODES[0], CODES[1], -128, 127)
         for conv in RECONSTRUCTION:
             layer = self.convs[conv.name]
-            x = F.conv2d(x, self._weight(layer), layer.bias, padding=1)
             last = conv is RECONSTRUCTION[-1]
+            x = training.convolve(x, self._weight(layer), layer.bias, self.half and not last)
             if self.ranges:
                 scale = CODES[0] if last else self.ranges[conv.name] / 255.0
                 x = torch.fake_quantize_per_tensor_affine(x, scale, -128, -128, 127)

@@ -128,7 +128,7 @@ class _Unit(torch.autograd.Function):
 
 class Qrisp(nn.Module):
     """Float network. conditioned: whether the weights depend on the jitter; ranges: tensor -> (low, high), empty while
-    training in float."""
+    training in float; half: whether all but the heads run in bfloat16."""
 
     def __init__(self, size: str, scale: int, conditioned: bool = True):
         super().__init__()
@@ -144,6 +144,7 @@ class Qrisp(nn.Module):
                 self.basis[f"{c.name}_bias"] = nn.Parameter(torch.zeros(RANK, c.outputs))
         self.ranges: dict[str, tuple[float, float]] = {}
         self.observed: dict[str, list[tuple[float, float]]] | None = None
+        self.half = False
         _initialise(self)
 
     def weights_at(self, name: str, jitter: Jitter) -> tuple[torch.Tensor, torch.Tensor]:
@@ -176,7 +177,7 @@ class Qrisp(nn.Module):
                 step = (weight.detach().abs().amax(dim=(1, 2, 3)) / 127.0).clamp(min=1e-9)
                 weight = torch.fake_quantize_per_channel_affine(weight, step, torch.zeros_like(step, dtype=torch.int32),
                                                                 0, -127, 127)
-            y = F.conv2d(values[node.source], weight, bias, padding=1)
+            y = training.convolve(values[node.source], weight, bias, self.half and node.name not in HEADS)
             if node.act == "unit":
                 y = _Unit.apply(y, fake)
             elif fake:

@@ -85,9 +85,10 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         if clip.output != (clip.render[0] * options.scale, clip.render[1] * options.scale):
             raise ValueError(f"clip {clip.name}: {clip.render} to {clip.output} is not of scale {options.scale}")
     model = mnss.Mnss(options.scale)
+    model.half = options.half
     optimizer = torch.optim.Adam(model.parameters(), lr=options.lr, eps=1e-4)
     record = {key: getattr(options, key) for key in ("scale", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
-                                                     "qat")}
+                                                     "qat", "half", "minutes")}
     record.update(clips=[clip.name for clip in clips], earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
     start = 0
@@ -123,6 +124,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--scale", type=int, choices=mnss.SCALES, default=2)
     parser.add_argument("--init", type=Path, help="checkpoint or weights to start from")
     training.add_recurrent_options(parser, steps=400, batch=2, crop=48, frames=8, chunk=2)
+    training.add_half(parser)
     options = parser.parse_args(arguments)
     training.check_recurrent(options)
     return options

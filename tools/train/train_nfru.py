@@ -106,8 +106,7 @@ def train(options: argparse.Namespace, clips: list[nfru_data.Pairs], report=prin
         return training.warm_cosine(base, step, steps, 0.1 if options.qat else 0.05, 0.003 if not options.qat else 0.01)
 
     options.frames = options.chunk = 1
-    return training.run_sequences(model, optimizer, record, options, start, rollout_at, rate, report, stop_after,
-                                  options.minutes)
+    return training.run_sequences(model, optimizer, record, options, start, rollout_at, rate, report, stop_after)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

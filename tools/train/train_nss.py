@@ -272,8 +272,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         return Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
                                             device=options.device, full=FULL, known=options.known), options)
 
-    return training.run_sequences(model, optimizer, record, options, start, rollout_at, learning_rate, report, stop_after,
-                                  options.minutes)
+    return training.run_sequences(model, optimizer, record, options, start, rollout_at, learning_rate, report, stop_after)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -287,7 +286,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
     parser.add_argument("--known", type=float, default=nss_data.KNOWN, metavar="SHARE",
                         help=f"of the sequences that start with the truth as history (default: {nss_data.KNOWN:g})")
-    parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
     parser.add_argument("--init", type=Path, nargs="+", metavar="FILE",
                         help="checkpoint or weights to start from, of any mode; the mean of several")
     parser.add_argument("--device", default="cpu", help="torch device (default: cpu)")
@@ -300,8 +298,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
             raise ValueError(f"--{name} must lie in 0 to 100, found {getattr(options, name)}")
     if not 0 <= options.known <= 1:
         raise ValueError(f"--known must lie in 0 to 1, found {options.known}")
-    if not 0 <= options.minutes <= 10**5:
-        raise ValueError(f"--minutes must lie in 0 to 100000, found {options.minutes}")
     if options.crop % 16:
         raise ValueError(f"--crop must be a multiple of 16, found {options.crop}")
     return options

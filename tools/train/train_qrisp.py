@@ -33,7 +33,7 @@ import training
 CALIBRATION_SEQUENCES = 8
 #: What a resumed run has to be asked for again.
 RECIPE = ("size", "scale", "steps", "batch", "crop", "frames", "chunk", "seed", "lr", "qat", "dilation", "blending",
-          "jitter", "sets")
+          "jitter", "sets", "half", "minutes")
 
 
 class Rollout:
@@ -96,6 +96,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     torch.manual_seed(options.seed)
     torch.set_num_threads(options.threads)
     model = qrisp.Qrisp(options.size, options.scale, options.jitter)
+    model.half = options.half
     optimizer = torch.optim.Adam(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in RECIPE}
     record.update(qrisp.describe(model), clips=[clip.name for clip in clips], earlier=[], seconds=0.0, done=0)
@@ -138,6 +139,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-jitter", dest="jitter", action="store_false", help="one weight set for all offsets")
     parser.add_argument("--init", type=Path, help="checkpoint or weights of the same network to start from")
     training.add_recurrent_options(parser, steps=1000, batch=4, crop=48, frames=12, chunk=4)
+    training.add_half(parser)
     options = parser.parse_args(arguments)
     training.check_recurrent(options)
     training.check_limits(options, {"sets": (0, 64)})

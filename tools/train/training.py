@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 
 def save_atomically(state: dict, path: Path) -> None:
@@ -70,14 +71,15 @@ def earlier_records(record: dict) -> list[dict]:
 
 
 def run_sequences(model: torch.nn.Module, optimizer: torch.optim.Optimizer, record: dict, options: argparse.Namespace,
-                  start: int, rollout_at, rate, report, stop_after: int | None, minutes: float = 0) -> dict:
-    """Runs from step `start` to options.steps (or stop_after), or until `minutes` above 0 are over, and returns the
-    final checkpoint, also OUT/last.pt. `rollout_at(step)` draws a sequence; `rate(base, step, steps)` is the rate.
+                  start: int, rollout_at, rate, report, stop_after: int | None) -> dict:
+    """Runs from step `start` to options.steps (or stop_after), or until options.minutes above 0 are over, and returns
+    the final checkpoint, also OUT/last.pt. `rollout_at(step)` draws a sequence; `rate(base, step, steps)` is the rate.
 
     Errors: OSError; KeyboardInterrupt after Ctrl-C, with the checkpoint written.
     """
     report(f"seed {options.seed}, step {start} of {options.steps}")
     path, spent, began, mean = options.out / "last.pt", record["seconds"], time.monotonic(), None
+    minutes = options.minutes
 
     def elapsed() -> float:
         return spent + time.monotonic() - began
@@ -118,6 +120,13 @@ def run_sequences(model: torch.nn.Module, optimizer: torch.optim.Optimizer, reco
         report(f"stopped at step {step}; continue with --resume")
         raise KeyboardInterrupt
     return state
+
+
+def convolve(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, half: bool) -> torch.Tensor:
+    """3x3, pad 1; with `half` in bfloat16, which is also what it returns, else in float."""
+    if not half:
+        return F.conv2d(x.float(), weight, bias, padding=1)
+    return F.conv2d(x.bfloat16().contiguous(memory_format=torch.channels_last), weight.bfloat16(), bias.bfloat16(), padding=1)
 
 
 def save_model(path, model: torch.nn.Module, record: dict) -> None:
@@ -164,12 +173,14 @@ def check_options(options: argparse.Namespace) -> None:
         raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
     if options.qat and not (options.init or options.resume):
         raise ValueError("--qat needs --init")
+    if options.qat and getattr(options, "half", False):
+        raise ValueError("--qat and --half exclude each other")
 
 
 def check_recurrent(options: argparse.Namespace) -> None:
     """The options that all recurrent training has. Errors: ValueError."""
     check_options(options)
-    check_limits(options, {"frames": (2, 256), "chunk": (1, 256)})
+    check_limits(options, {"frames": (2, 256), "chunk": (1, 256), "minutes": (0, 10**5)})
 
 
 def add_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop: int, what: str = "sequences",
@@ -188,12 +199,19 @@ def add_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop
     parser.add_argument("--threads", type=int, default=1, help="torch threads (default: 1)")
 
 
+def add_half(parser: argparse.ArgumentParser) -> None:
+    """--half, of the programs whose steps are mostly convolutions."""
+    parser.add_argument("--half", action="store_true",
+                        help="inner convolutions in bfloat16, faster where the processor has matrix units; not with --qat")
+
+
 def add_recurrent_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop: int, frames: int,
                           chunk: int, crop_help: str = "crop side in render pixels") -> None:
     """With these defaults; check_recurrent checks them. --init is the program's own."""
     add_options(parser, steps=steps, batch=batch, crop=crop, crop_help=crop_help)
     parser.add_argument("--frames", type=int, default=frames, help=f"frames per sequence (default: {frames})")
     parser.add_argument("--chunk", type=int, default=chunk, help=f"frames per update of the weights (default: {chunk})")
+    parser.add_argument("--minutes", type=float, default=0, help="end after this time, the rate with it (default: 0, no)")
 
 
 def command(name: str, arguments: list[str] | None, parse, train) -> int:

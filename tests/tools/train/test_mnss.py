@@ -19,6 +19,7 @@ import nss_data  # noqa: E402
 import nss_passes  # noqa: E402
 import quantize  # noqa: E402
 import train_mnss  # noqa: E402
+import training  # noqa: E402
 
 torch.set_num_threads(1)
 CAMERA = nss_passes.camera_vector(1.2, 0.8, 0.1, -1.0, False)
@@ -221,6 +222,26 @@ class Training(unittest.TestCase):
             self.assertEqual(sorted(qat["ranges"]), ["rec1", "rec2", "rec3"])
             with self.assertRaisesRegex(ValueError, "checkpoint has qat False, the run asks True"):
                 train_mnss.train(self.options(Path(folder) / "a", "--resume", "--qat"), clips, quiet)
+
+    def test_half_rounds_operands_and_result_once(self):
+        # bfloat16 has 8 bits: input, weights and result are off by 2^-9 each, sums are in float.
+        torch.manual_seed(1)
+        x, weight, bias = torch.randn(2, 16, 12, 12), torch.randn(8, 16, 3, 3), torch.randn(8)
+        half, exact = (training.convolve(x, weight, bias, half) for half in (True, False))
+        self.assertEqual((half.dtype, exact.dtype), (torch.bfloat16, torch.float32))
+        self.assertTrue(((half - exact).abs() <= 2**-7 * training.convolve(x.abs(), weight.abs(), bias.abs(), False)).all())
+        self.assertFalse(torch.equal(half.float(), exact))
+
+    def test_half_trains_every_network_in_float(self):
+        with tempfile.TemporaryDirectory() as folder:
+            whole = train_mnss.train(self.options(Path(folder), "--half"), [make_clip(0)], lambda line: None)
+            fresh = mnss.Mnss(2).state_dict()
+            for name, value in whole["model"].items():
+                self.assertEqual(value.dtype, torch.float32, name)
+                self.assertTrue(torch.isfinite(value).all(), name)
+            self.assertFalse(torch.equal(whole["model"]["convs.rec2.weight"], fresh["convs.rec2.weight"]))
+            with self.assertRaisesRegex(ValueError, "--qat and --half exclude each other"):
+                self.options(Path(folder), "--half", "--qat", "--init", "a.pt")
 
     def test_refuses_clips_of_another_scale(self):
         with tempfile.TemporaryDirectory() as folder:

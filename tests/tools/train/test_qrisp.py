@@ -225,11 +225,11 @@ class Training(unittest.TestCase):
         return train_qrisp.parse(["--data", folder, "--out", str(Path(folder) / "run"), "--steps", "6", "--batch", "2",
                                   "--crop", "16", "--frames", "3", "--chunk", "2", "--every", "2", *more])
 
-    def test_resuming_is_exact_in_float_and_with_fake_quantization(self):
+    def test_resuming_is_exact_in_float_half_and_with_fake_quantization(self):
         clips = [make_clip(k) for k in range(2)]
         kept, train_qrisp.CALIBRATION_SEQUENCES = train_qrisp.CALIBRATION_SEQUENCES, 1
         try:
-            for more in ([], ["--no-jitter", "--no-blending", "--no-dilation"], ["--qat"]):
+            for more in ([], ["--no-jitter", "--no-blending", "--no-dilation"], ["--half"], ["--qat"]):
                 with tempfile.TemporaryDirectory() as folder:
                     if "--qat" in more:
                         qrisp.save_weights(Path(folder) / "first.npz", qrisp.Qrisp("s", 2), {})
