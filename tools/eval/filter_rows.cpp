@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "tools/eval/wide.h"
+
 namespace shale {
 namespace {
 
@@ -9,13 +11,13 @@ namespace {
 constexpr uint32_t kBlock = 256;
 
 /// Adds two taps at once: half the traffic on the sums.
-void add_even(float* __restrict sums, uint32_t count, float w0, const float* a0, const float* b0,
-              float w1, const float* a1, const float* b1) {
+SHALE_WIDE void add_even(float* __restrict sums, uint32_t count, float w0, const float* a0,
+                         const float* b0, float w1, const float* a1, const float* b1) {
   for (uint32_t i = 0; i < count; ++i) sums[i] += w0 * (a0[i] + b0[i]) + w1 * (a1[i] + b1[i]);
 }
 
-void add_odd(float* __restrict sums, uint32_t count, float w0, const float* a0, const float* b0,
-             float w1, const float* a1, const float* b1) {
+SHALE_WIDE void add_odd(float* __restrict sums, uint32_t count, float w0, const float* a0,
+                        const float* b0, float w1, const float* a1, const float* b1) {
   for (uint32_t i = 0; i < count; ++i) sums[i] += w0 * (a0[i] - b0[i]) + w1 * (a1[i] - b1[i]);
 }
 

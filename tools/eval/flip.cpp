@@ -10,6 +10,7 @@
 #include "tools/eval/fast_math.h"
 #include "tools/eval/filter_rows.h"
 #include "tools/eval/parallel.h"
+#include "tools/eval/wide.h"
 
 namespace shale {
 namespace {
@@ -273,9 +274,9 @@ class FeatureWalk {
   }
 
   /// Opponent colours, filtered, to what the screen can show and on to CIELAB.
-  static void colours(const float* __restrict y, const float* __restrict cx,
-                      const float* __restrict cz1, const float* __restrict cz2, uint32_t width,
-                      const FeatureRow<float>& out) {
+  SHALE_WIDE static void colours(const float* __restrict y, const float* __restrict cx,
+                                 const float* __restrict cz1, const float* __restrict cz2,
+                                 uint32_t width, const FeatureRow<float>& out) {
     float* const __restrict lightness = out.lightness, * const __restrict a = out.a, * const __restrict b = out.b;
     for (uint32_t i = 0; i < width; ++i) {
       const float px = y[i] + cx[i], py = y[i], pz = y[i] - (cz1[i] + cz2[i]);
@@ -295,8 +296,8 @@ class FeatureWalk {
     }
   }
 
-  static void magnitudes(const float* __restrict x, const float* __restrict y, uint32_t width,
-                         float* __restrict out) {
+  SHALE_WIDE static void magnitudes(const float* __restrict x, const float* __restrict y,
+                                    uint32_t width, float* __restrict out) {
     for (uint32_t i = 0; i < width; ++i) out[i] = std::sqrt(x[i] * x[i] + y[i] * y[i]);
   }
 
@@ -311,8 +312,8 @@ class FeatureWalk {
 };
 
 /// One row of the map; returns its sum.
-double difference_row(const FeatureRow<float>& p, const FeatureRow<const float>& q, uint32_t width,
-                      float largest, float* __restrict out) {
+SHALE_WIDE double difference_row(const FeatureRow<float>& p, const FeatureRow<const float>& q,
+                                 uint32_t width, float largest, float* __restrict out) {
   constexpr float kKnee = 0.4f, kKneeValue = 0.95f;
   const float knee = kKnee * largest;
   for (uint32_t i = 0; i < width; ++i) {

@@ -4,6 +4,7 @@
 
 #include "tools/eval/fast_math.h"
 #include "tools/eval/parallel.h"
+#include "tools/eval/wide.h"
 
 namespace shale {
 namespace {
@@ -16,7 +17,8 @@ inline float quick_code(float x) {
 }
 
 /// Codes of a row; where the quick value lies close to a rounding boundary the exact one decides.
-void display_codes(const float* __restrict exposed, float* __restrict codes, size_t count) {
+SHALE_WIDE void display_codes(const float* __restrict exposed, float* __restrict codes,
+                              size_t count) {
   for (size_t i = 0; i < count; ++i) {
     float x = exposed[i] > 0 ? exposed[i] : 0;  // NaN too
     x = x < 1e30f ? x : 1e30f;
