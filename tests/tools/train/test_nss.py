@@ -18,14 +18,17 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "tools" / "train"))
 
 import evaluate_nss  # noqa: E402
+import evaluate_recurrent  # noqa: E402
 import export_nss  # noqa: E402
 import exr  # noqa: E402
 import fused  # noqa: E402
+import mnss  # noqa: E402
 import nss  # noqa: E402
 import nss_clips  # noqa: E402
 import nss_data  # noqa: E402
 import nss_job  # noqa: E402
 import nss_passes as passes  # noqa: E402
+import qrisp  # noqa: E402
 import quantize  # noqa: E402
 import train_nss  # noqa: E402
 
@@ -736,6 +739,15 @@ class Files(unittest.TestCase):
                 with self.assertRaisesRegex(ValueError, "a.exr"):
                     exr.read_exr(path)
 
+    def test_rest_is_what_swings_where_the_truth_does_not(self):
+        clip = make_clip(frames=6, speed=(0.0, 0.0))
+        wanted = evaluate_nss.display_codes(clip.truth[:1].float(), 1.0).astype(float)
+        pictures = iter([torch.from_numpy(wanted / 255).permute(2, 0, 1)[None] + t % 2 * 2 / 255 for t in range(6)])
+        found = evaluate_recurrent.measure(lambda frame, cut: next(pictures), clip, True)
+        # Of the later three frames the one in the middle, or the two others, are 2 codes off: a deviation of 2 sqrt(2) / 3.
+        self.assertAlmostEqual(found["rest"], 2 * 2**0.5 / 3, places=2)
+        self.assertAlmostEqual(found["psnr_db"], (3 * 20 * np.log10(255 / 2) + 2 * 100) / 5, delta=0.1)
+
     def test_data_set_cache_and_evaluation(self):
         clip = make_clip(frames=3)
         with tempfile.TemporaryDirectory() as folder:
@@ -763,6 +775,19 @@ class Files(unittest.TestCase):
             report = json.loads((root / "out.json").read_text())
             self.assertEqual(set(report["mean"]), set(evaluate_nss.METHODS))
             self.assertEqual(len(report["clips"]["0000"]["int8"]["psnr"]), 3)
+            qrisp.save_weights(root / "q.npz", qrisp.Qrisp("s", 2), {"blending": False, "sets": 4})
+            mnss.save_weights(root / "m.npz", mnss.Mnss(2), {})
+            weights = [str(root / "q.npz"), str(root / "m.npz")]
+            self.assertEqual(evaluate_recurrent.main(["--weights", *weights, "--data", str(root), "--out",
+                                                      str(root / "out.json")]), 0)
+            report = json.loads((root / "out.json").read_text())
+            self.assertEqual(set(report), {*weights, "bilinear"})
+            for rows in report.values():
+                self.assertGreater(rows["0000"]["psnr_db"], 10)
+                self.assertEqual(rows["mean"], rows["0000"])
+            run = evaluate_recurrent.load(root / "q.npz")()
+            self.assertEqual((run.options.blending, run.options.dilation, len(run.offsets)), (False, True, 4))
+            self.assertEqual(evaluate_recurrent.main(["--weights", str(root / "0000.json"), "--data", str(root)]), 1)
             (root / "motion_gt" / "0000" / "0002.exr").unlink()
             with self.assertRaisesRegex(ValueError, "2 pictures for 3 frames"):
                 nss_data.load_clip(root, "0000")
