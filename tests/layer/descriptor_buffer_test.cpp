@@ -4,7 +4,6 @@
 #include <functional>
 
 #include "tests/compiler/graph_support.h"
-#include "tests/compiler/spirv_text.h"
 #include "tests/layer/layer_fixture.h"
 #include "tests/layer/tensor_shaders.h"
 
@@ -127,8 +126,7 @@ class DescriptorBufferLayerTest : public LayerTest {
 
   struct Shader {
     VkDescriptorSetLayout set_layout;
-    VkPipelineLayout layout;
-    VkPipeline pipeline;
+    ComputePipeline code;
   };
   Shader make_shader(const char* text, const std::vector<uint32_t>& counts) const {
     Shader made{};
@@ -143,35 +141,11 @@ class DescriptorBufferLayerTest : public LayerTest {
     set_info.pBindings = bindings.data();
     EXPECT_EQ(vkCreateDescriptorSetLayout(client.device, &set_info, nullptr, &made.set_layout),
               VK_SUCCESS);
-    VkPipelineLayoutCreateInfo layout_info{};
-    layout_info.sType = VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO;
-    layout_info.setLayoutCount = 1;
-    layout_info.pSetLayouts = &made.set_layout;
-    EXPECT_EQ(vkCreatePipelineLayout(client.device, &layout_info, nullptr, &made.layout),
-              VK_SUCCESS);
-    const std::vector<uint32_t> words = assemble_spirv(text);
-    VkShaderModuleCreateInfo module_info{};
-    module_info.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO;
-    module_info.codeSize = 4 * words.size();
-    module_info.pCode = words.data();
-    VkComputePipelineCreateInfo info{};
-    info.sType = VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO;
-    info.flags = kInBuffers;
-    info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
-    info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
-    info.stage.pName = "main";
-    info.layout = made.layout;
-    EXPECT_EQ(vkCreateShaderModule(client.device, &module_info, nullptr, &info.stage.module),
-              VK_SUCCESS);
-    EXPECT_EQ(
-        vkCreateComputePipelines(client.device, VK_NULL_HANDLE, 1, &info, nullptr, &made.pipeline),
-        VK_SUCCESS);
-    vkDestroyShaderModule(client.device, info.stage.module, nullptr);
+    made.code = compute_pipeline(made.set_layout, text, kInBuffers);
     return made;
   }
   void destroy(const Shader& made) const {
-    vkDestroyPipeline(client.device, made.pipeline, nullptr);
-    vkDestroyPipelineLayout(client.device, made.layout, nullptr);
+    LayerTest::destroy(made.code);
     vkDestroyDescriptorSetLayout(client.device, made.set_layout, nullptr);
   }
   /// Four elements each, from 1 and from 101.
@@ -211,9 +185,9 @@ TEST_F(DescriptorBufferLayerTest, ShadersFindTensorsAndArraysOfThem) {
   const Shader shader = make_shader(kArrays, {2});
   write(shader.set_layout, kFirst, 0, {rows[0].view, rows[1].view});
   EXPECT_EQ(submit([&](VkCommandBuffer commands) {
-              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.pipeline);
+              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.code.pipeline);
               bind(commands);
-              bind_set(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.layout, kFirst);
+              bind_set(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.code.layout, kFirst);
               vkCmdDispatch(commands, 1, 1, 2);
             }),
             VK_SUCCESS);
@@ -234,9 +208,9 @@ TEST_F(DescriptorBufferLayerTest, ANullTensorHasNoElements) {
   write(shader.set_layout, kFirst, 0, {VK_NULL_HANDLE});
   write(shader.set_layout, kFirst, 1, {out.view});
   EXPECT_EQ(submit([&](VkCommandBuffer commands) {
-              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.pipeline);
+              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.code.pipeline);
               bind(commands);
-              bind_set(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.layout, kFirst);
+              bind_set(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.code.layout, kFirst);
               vkCmdDispatch(commands, 3, 2, 1);
             }),
             VK_SUCCESS);
@@ -310,21 +284,21 @@ TEST_F(DescriptorBufferLayerTest, TheApplicationsBuffersStayBound) {
   const auto set_offsets_2 = reinterpret_cast<PFN_vkCmdSetDescriptorBufferOffsets2EXT>(
       vkGetDeviceProcAddr(client.device, "vkCmdSetDescriptorBufferOffsets2EXT"));
   EXPECT_EQ(submit([&](VkCommandBuffer commands) {
-              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.pipeline);
+              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.code.pipeline);
               bind(commands);
               const VkDeviceSize at = kFirst;
               const uint32_t buffer = 0;
               VkSetDescriptorBufferOffsetsInfoEXT info{};
               info.sType = VK_STRUCTURE_TYPE_SET_DESCRIPTOR_BUFFER_OFFSETS_INFO_EXT;
               info.stageFlags = VK_SHADER_STAGE_COMPUTE_BIT;
-              info.layout = shader.layout;
+              info.layout = shader.code.layout;
               info.setCount = 1;
               info.pBufferIndices = &buffer;
               info.pOffsets = &at;
               if (set_offsets_2)
                 set_offsets_2(commands, &info);
               else
-                bind_set(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.layout, kFirst);
+                bind_set(commands, VK_PIPELINE_BIND_POINT_COMPUTE, shader.code.layout, kFirst);
               vkCmdDispatch(commands, 1, 1, 2);
               client_full_barrier(commands);
               bind_set(commands, VK_PIPELINE_BIND_POINT_DATA_GRAPH_ARM, in_buffers.graph.layout,

@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "compiler/frontend/vgf/formats.h"
+#include "tests/compiler/spirv_text.h"
 
 namespace shale {
 namespace {
@@ -237,6 +238,44 @@ HostBuffer LayerTest::host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, 
   EXPECT_EQ(vkBindBufferMemory(client.device, host.buffer, host.memory, 0), VK_SUCCESS);
   EXPECT_EQ(vkMapMemory(client.device, host.memory, 0, VK_WHOLE_SIZE, 0, &host.mapped), VK_SUCCESS);
   return host;
+}
+
+ComputePipeline LayerTest::compute_pipeline(VkDescriptorSetLayout set_layout, const char* text,
+                                            VkPipelineCreateFlags flags, bool chained) const {
+  ComputePipeline made;
+  VkPipelineLayoutCreateInfo layout{};
+  layout.sType = VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO;
+  layout.setLayoutCount = 1;
+  layout.pSetLayouts = &set_layout;
+  EXPECT_EQ(vkCreatePipelineLayout(client.device, &layout, nullptr, &made.layout), VK_SUCCESS);
+  const std::vector<uint32_t> words = assemble_spirv(text);
+  VkShaderModuleCreateInfo code{};
+  code.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO;
+  code.codeSize = 4 * words.size();
+  code.pCode = words.data();
+  VkComputePipelineCreateInfo info{};
+  info.sType = VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO;
+  info.flags = flags;
+  info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
+  info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
+  info.stage.pName = "main";
+  info.layout = made.layout;
+  if (chained) {
+    info.stage.pNext = &code;
+  } else {
+    EXPECT_EQ(vkCreateShaderModule(client.device, &code, nullptr, &info.stage.module), VK_SUCCESS)
+        << client.last_message;
+  }
+  EXPECT_EQ(
+      vkCreateComputePipelines(client.device, VK_NULL_HANDLE, 1, &info, nullptr, &made.pipeline),
+      VK_SUCCESS);
+  vkDestroyShaderModule(client.device, info.stage.module, nullptr);
+  return made;
+}
+
+void LayerTest::destroy(const ComputePipeline& made) const {
+  vkDestroyPipeline(client.device, made.pipeline, nullptr);
+  vkDestroyPipelineLayout(client.device, made.layout, nullptr);
 }
 
 }  // namespace shale

@@ -61,6 +61,12 @@ struct HostBuffer {
   void* mapped = nullptr;
 };
 
+/// A compute pipeline and its layout, of one set.
+struct ComputePipeline {
+  VkPipelineLayout layout = VK_NULL_HANDLE;
+  VkPipeline pipeline = VK_NULL_HANDLE;
+};
+
 /// A validation layer that knows the extensions stands above: it says itself what is wrong with a call.
 /// tests/drivers/run.sh sets SHALE_VALIDATED.
 bool validated();
@@ -83,6 +89,11 @@ class LayerTest : public testing::Test {
   void TearDown() override;
   /// Freed by TearDown. Fails the test, and maps nothing, where it cannot be made.
   HostBuffer host_buffer(VkDeviceSize bytes, VkBufferUsageFlags usage, const void* next = nullptr);
+
+  /// Of a shader as SPIR-V text, its code in a module or, if `chained`, with the stage. Fails the test where it cannot be made.
+  ComputePipeline compute_pipeline(VkDescriptorSetLayout set_layout, const char* text,
+                                   VkPipelineCreateFlags flags = 0, bool chained = false) const;
+  void destroy(const ComputePipeline& made) const;
 
   Client client{};
   bool is_open = false;

@@ -5,7 +5,6 @@
 #include <functional>
 #include <string>
 
-#include "tests/compiler/spirv_text.h"
 #include "tests/layer/layer_fixture.h"
 #include "tests/layer/tensor_shaders.h"
 
@@ -112,10 +111,9 @@ class ShaderLayerTest : public LayerTest {
 
   struct Pipeline {
     VkDescriptorSetLayout set_layout;
-    VkPipelineLayout layout;
     VkDescriptorPool pool;
     VkDescriptorSet set;
-    VkPipeline pipeline;
+    ComputePipeline code;
   };
   /// `chained`: the code comes with the stage, not in a module. With `varying` the last binding has so many
   /// descriptors of `count`, which may be written after the set is bound, and need not all be.
@@ -152,12 +150,6 @@ class ShaderLayerTest : public LayerTest {
     }
     EXPECT_EQ(vkCreateDescriptorSetLayout(client.device, &set_info, nullptr, &made.set_layout),
               VK_SUCCESS);
-    VkPipelineLayoutCreateInfo layout_info{};
-    layout_info.sType = VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO;
-    layout_info.setLayoutCount = 1;
-    layout_info.pSetLayouts = &made.set_layout;
-    EXPECT_EQ(vkCreatePipelineLayout(client.device, &layout_info, nullptr, &made.layout),
-              VK_SUCCESS);
     const VkDescriptorPoolSize size{VK_DESCRIPTOR_TYPE_TENSOR_ARM, bindings * count};
     VkDescriptorPoolCreateInfo pool_info{};
     pool_info.sType = VK_STRUCTURE_TYPE_DESCRIPTOR_POOL_CREATE_INFO;
@@ -177,34 +169,12 @@ class ShaderLayerTest : public LayerTest {
     counts.pDescriptorCounts = &varying;
     if (varying > 0) allocate.pNext = &counts;
     EXPECT_EQ(vkAllocateDescriptorSets(client.device, &allocate, &made.set), VK_SUCCESS);
-    const std::vector<uint32_t> words = assemble_spirv(text);
-    VkShaderModuleCreateInfo module_info{};
-    module_info.sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO;
-    module_info.codeSize = 4 * words.size();
-    module_info.pCode = words.data();
-    VkComputePipelineCreateInfo info{};
-    info.sType = VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO;
-    info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
-    info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
-    info.stage.pName = "main";
-    info.layout = made.layout;
-    if (chained) {
-      info.stage.pNext = &module_info;
-    } else {
-      EXPECT_EQ(vkCreateShaderModule(client.device, &module_info, nullptr, &info.stage.module),
-                VK_SUCCESS)
-          << client.last_message;
-    }
-    EXPECT_EQ(
-        vkCreateComputePipelines(client.device, VK_NULL_HANDLE, 1, &info, nullptr, &made.pipeline),
-        VK_SUCCESS);
-    vkDestroyShaderModule(client.device, info.stage.module, nullptr);
+    made.code = compute_pipeline(made.set_layout, text, 0, chained);
     return made;
   }
   void destroy(const Pipeline& made) const {
-    vkDestroyPipeline(client.device, made.pipeline, nullptr);
+    LayerTest::destroy(made.code);
     vkDestroyDescriptorPool(client.device, made.pool, nullptr);
-    vkDestroyPipelineLayout(client.device, made.layout, nullptr);
     vkDestroyDescriptorSetLayout(client.device, made.set_layout, nullptr);
   }
   /// One write over all descriptors from `first` on, so that it runs from one binding into the next.
@@ -232,19 +202,20 @@ class ShaderLayerTest : public LayerTest {
       uint32_t groups[3];
       const std::function<void()>& then;
     } call{&made, {x, y, z}, then};
-    EXPECT_EQ(
-        client_submit(
-            &client,
-            [](VkCommandBuffer commands, void* user) {
-              const auto* all = static_cast<const Call*>(user);
-              vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, all->pipeline->pipeline);
-              vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE,
-                                      all->pipeline->layout, 0, 1, &all->pipeline->set, 0, nullptr);
-              vkCmdDispatch(commands, all->groups[0], all->groups[1], all->groups[2]);
-              all->then();
-            },
-            &call),
-        VK_SUCCESS);
+    EXPECT_EQ(client_submit(
+                  &client,
+                  [](VkCommandBuffer commands, void* user) {
+                    const auto* all = static_cast<const Call*>(user);
+                    vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE,
+                                      all->pipeline->code.pipeline);
+                    vkCmdBindDescriptorSets(commands, VK_PIPELINE_BIND_POINT_COMPUTE,
+                                            all->pipeline->code.layout, 0, 1, &all->pipeline->set,
+                                            0, nullptr);
+                    vkCmdDispatch(commands, all->groups[0], all->groups[1], all->groups[2]);
+                    all->then();
+                  },
+                  &call),
+              VK_SUCCESS);
   }
 };
 
