@@ -246,13 +246,14 @@ class Sequence:
 
     starts: first frame of each clip; crop: side in render pixels; ratio: output over render size; gain: on the exposure
     `[n, 1, 1, t]`; full: (w, h) of the whole picture behind the crops; known: whether the frame before the first one
-    exists and its truth is the history of the first.
+    exists and its truth is the history of the first; flash: factors on all light, colour and truth, `[n, 1, 1, t]`.
     """
 
     def __init__(self, clips: list[Clip], starts: list[int], corners: list[tuple[int, int]], crop: int,
                  ratio: Fraction, augmentation: Augmentation, gain: torch.Tensor, device: str = "cpu",
-                 full: tuple[int, int] | None = None, light: Light | None = None, known: bool = False):
-        self.full = full or clips[0].render
+                 full: tuple[int, int] | None = None, light: Light | None = None, known: bool = False,
+                 flash: torch.Tensor | None = None):
+        self.full, self.flash = full or clips[0].render, flash
         self.clips, self.starts, self.corners, self.crop, self.ratio = clips, starts, corners, crop, ratio
         self.augmentation, self.gain, self.device, self.light, self.known = augmentation, gain, device, light, known
 
@@ -268,6 +269,8 @@ class Sequence:
         colours = self._crops(key, t, scale)
         if self.light is not None:
             colours *= self.light.gain(t, colours.shape[3], colours.shape[2], shift)
+        if self.flash is not None and t >= 0:
+            colours *= self.flash[..., t, None]
         colours = self.augmentation.picture(colours)[:, list(self.augmentation.channels)].contiguous()
         return passes.sanitise(colours.to(self.device))
 
@@ -329,12 +332,22 @@ def _gains(rng: np.random.Generator, batch: int, frames: int) -> torch.Tensor:
     return torch.from_numpy(2.0**stops).float().view(batch, 1, 1, frames)
 
 
+def _flash(rng: np.random.Generator, batch: int, frames: int) -> torch.Tensor:
+    """Factors `[n, 1, 1, t]`: for one to three frames 2^3 to 2^14 times the light, or so much less, then as before."""
+    stops = np.zeros((batch, frames))
+    for row in stops:
+        at = rng.integers(1, max(frames - 4, 2))
+        row[at : at + rng.integers(1, 4)] = rng.uniform(3, 14) * rng.choice((-1, 1))
+    return torch.from_numpy(2.0**stops).float().view(batch, 1, 1, frames)
+
+
 def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, frames: int, augment: bool = True,
-         device: str = "cpu", full: tuple[int, int] | None = None, known: float = KNOWN) -> Sequence:
+         device: str = "cpu", full: tuple[int, int] | None = None, known: float = KNOWN,
+         flashes: float = 0.0) -> Sequence:
     """A random sequence. All crops share the jitter of their frames, because the kernel tables do.
 
     crop: side in render pixels at ratio 2, see `crop_size`; full: (w, h) of the whole picture at ratio 2; known: share of
-    the sequences that start with the truth as history. Errors:
+    the sequences that start with the truth as history; flashes: of those in which all light flashes. Errors:
     ValueError when no clip has `frames` frames without a cut.
     """
     for _ in range(1000):
@@ -361,15 +374,18 @@ def draw(clips: list[Clip], rng: np.random.Generator, batch: int, crop: int, fra
     # Corners are whole pixels of both pictures, and keep the phase of 4x4 blocks.
     step = math.lcm(4, ratio.denominator)
     corners = [tuple(int(rng.integers((size - side) // step + 1)) * step for size in lead.render) for _ in chosen]
-    light = None
+    light = flash = None
     if augment:
         flips = rng.random(3) < 0.5
         how = Augmentation(*(bool(f) for f in flips), tuple(int(i) for i in rng.permutation(3)))
         gain = _gains(rng, batch, frames)
         if rng.random() < LIT:
             light = Light.draw(rng, batch, frames, 1.0 / float(side * ratio))
+        if flashes and rng.random() < flashes:
+            flash = _flash(rng, batch, frames)
     else:
         how, gain = Augmentation(), torch.ones(batch, 1, 1, frames)
     if full is not None:
         full = tuple(round(2 * size / ratio) for size in full)
-    return Sequence(list(chosen), list(starts), corners, side, ratio, how, gain, device, full, light, starts_known)
+    return Sequence(list(chosen), list(starts), corners, side, ratio, how, gain, device, full, light, starts_known,
+                    flash)

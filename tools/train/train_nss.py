@@ -212,14 +212,19 @@ def learning_rate(base: float, step: float, steps: int) -> float:
     return training.warm_cosine(base, step, steps, 0.05, 0.001)
 
 
+def rollout_of(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Namespace, *seed: int) -> Rollout:
+    """The crops of a step."""
+    rng = np.random.default_rng([options.seed, *seed])
+    return Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames, device=options.device,
+                                        full=FULL, known=options.known, flashes=options.flashes), options)
+
+
 def calibrate(model: nss.Nss, clips: list[nss_data.Clip], options: argparse.Namespace) -> None:
     """Measures the activation ranges on sequences of their own."""
     model.observed = {}
     with torch.no_grad():
         for index in range(CALIBRATION_SEQUENCES):
-            rng = np.random.default_rng([options.seed, 10**9, index])
-            rollout = Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                                   device=options.device, full=FULL, known=options.known), options)
+            rollout = rollout_of(model, clips, options, 10**9, index)
             for t in range(options.frames):
                 rollout.step(t)
     model.calibrated()
@@ -246,7 +251,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
     model = model.to(memory_format=torch.channels_last)
     optimizer = torch.optim.AdamW(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in ("mode", "steps", "batch", "crop", "frames", "chunk", "seed", "lr",
-                                                     "qat", "minutes", "known", *WEIGHTS)}
+                                                     "qat", "minutes", "known", "flashes", *WEIGHTS)}
     record.update(clips=[clip.name for clip in clips], starts_from="random", earlier=[], seconds=0.0, done=0)
     options.out.mkdir(parents=True, exist_ok=True)
     start = 0
@@ -268,9 +273,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
             calibrate(model, clips, options)
 
     def rollout_at(step: int) -> Rollout:
-        rng = np.random.default_rng([options.seed, step])
-        return Rollout(model, nss_data.draw(clips, rng, options.batch, options.crop, options.frames,
-                                            device=options.device, full=FULL, known=options.known), options)
+        return rollout_of(model, clips, options, step)
 
     return training.run_sequences(model, optimizer, record, options, start, rollout_at, learning_rate, report, stop_after)
 
@@ -286,6 +289,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         parser.add_argument(f"--{name}", type=float, default=default, help=f"weight of {what} (default: {default:g})")
     parser.add_argument("--known", type=float, default=nss_data.KNOWN, metavar="SHARE",
                         help=f"of the sequences that start with the truth as history (default: {nss_data.KNOWN:g})")
+    parser.add_argument("--flashes", type=float, default=0, metavar="SHARE",
+                        help="of the sequences in which all light flashes or goes out for some frames (default: 0)")
     parser.add_argument("--init", type=Path, nargs="+", metavar="FILE",
                         help="checkpoint or weights to start from, of any mode; the mean of several")
     parser.add_argument("--device", default="cpu", help="torch device (default: cpu)")
@@ -296,8 +301,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name in WEIGHTS:
         if not 0 <= getattr(options, name) <= 100:
             raise ValueError(f"--{name} must lie in 0 to 100, found {getattr(options, name)}")
-    if not 0 <= options.known <= 1:
-        raise ValueError(f"--known must lie in 0 to 1, found {options.known}")
+    training.check_limits(options, {"known": (0, 1), "flashes": (0, 1)})
     if options.crop % 16:
         raise ValueError(f"--crop must be a multiple of 16, found {options.crop}")
     return options

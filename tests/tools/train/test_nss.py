@@ -1,6 +1,7 @@
 """NSS: graph description, exact INT8, passes, data, training."""
 
 import argparse
+import copy
 import dataclasses
 import json
 import struct
@@ -585,6 +586,24 @@ class Fused(unittest.TestCase):
 
 
 class Data(unittest.TestCase):
+    def test_flashes_end_and_are_on_samples_and_truth_alike(self):
+        clips = [make_clip(k, frames=12) for k in range(2)]
+        for seed in range(6):
+            drawn = [nss_data.draw(clips, np.random.default_rng(seed), 2, 32, 12, augment=True, known=0.0, flashes=share)
+                     for share in (0.0, 1.0)]
+            plain, lit = drawn
+            self.assertIsNone(plain.flash)
+            for row in torch.log2(lit.flash.flatten(1)):
+                self.assertIn(int((row != 0).sum()), (1, 2, 3))
+                self.assertTrue(3 <= float(row.abs().max()) <= 14)
+                self.assertTrue((row[-2:] == 0).all() and row[0] == 0)
+            plain = copy.copy(lit)
+            plain.flash = None
+            for t in range(12):
+                for a, b in ((lit.frame(t).colour, plain.frame(t).colour), (lit.truth(t), plain.truth(t))):
+                    wanted = (b * lit.flash[..., t, None]).clamp(max=passes.HALF_MAX)
+                    self.assertTrue(torch.allclose(a, wanted, rtol=1e-5), t)
+
     def test_light_is_the_same_on_samples_and_truth(self):
         """A sample and the truth under it get the same factor, wherever jitter and crop put it."""
         rng = np.random.default_rng(3)
