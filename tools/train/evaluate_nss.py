@@ -17,7 +17,6 @@ Examples:
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Callable
@@ -31,8 +30,8 @@ import nss
 import nss_data
 import nss_passes as passes
 import srpo
+import training
 from png import write_png
-from tosa_writer import write_atomically
 
 METHODS = ("float", "int8", "bilinear", "mobfgsr")
 
@@ -215,7 +214,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--pictures", type=Path, help="folder for the last frame of each clip by every method")
     parser.add_argument("--threads", type=int, default=1, help="torch threads (default: 1)")
     options = parser.parse_args(arguments)
-    try:
+    def make() -> dict:
         torch.set_num_threads(max(1, options.threads))
         model, report = None, {}
         if {"float", "int8"} & set(options.methods):
@@ -230,15 +229,9 @@ def main(arguments: list[str] | None = None) -> int:
             clip = nss_data.load_clip(options.data, name, options.frames, options.ratio, options.first)
             clips[name] = measure(model, clip, options.methods, options.ssim, options.pictures)
         report.update(mean=summary(clips), clips=clips)
-        text = json.dumps(report, indent=1) + "\n"
-        if options.out:
-            write_atomically(options.out, text.encode())
-        else:
-            print(text, end="")
-    except (ValueError, OSError) as error:
-        print(f"evaluate_nss: error: {error}", file=sys.stderr)
-        return 1
-    return 0
+        return report
+
+    return training.write_report("evaluate_nss", options.out, make)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ Example:
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -27,7 +26,7 @@ import nss_data
 import qrisp
 import qrisp_passes
 import srpo
-from tosa_writer import write_atomically
+import training
 
 
 class Qrisp:
@@ -104,7 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, help="frames per clip (default: all)")
     parser.add_argument("--out", type=Path, help="JSON file (default: standard output)")
     options = parser.parse_args(arguments)
-    try:
+    def report() -> dict:
         torch.set_num_threads(1)
         methods = {str(path): load(path) for path in options.weights}
         rows = {name: {} for name in (*methods, "bilinear")}
@@ -121,15 +120,9 @@ def main(arguments: list[str] | None = None) -> int:
                 values = [clip[key] for clip in clips.values() if clip[key] is not None]
                 means[key] = round(float(np.mean(values)), 3) if values else None
             clips["mean"] = means
-        text = json.dumps(rows, indent=1) + "\n"
-        if options.out:
-            write_atomically(options.out, text.encode())
-        else:
-            print(text, end="")
-    except (ValueError, OSError) as error:
-        print(f"evaluate_recurrent: error: {error}", file=sys.stderr)
-        return 1
-    return 0
+        return rows
+
+    return training.write_report("evaluate_recurrent", options.out, report)
 
 
 if __name__ == "__main__":

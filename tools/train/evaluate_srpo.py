@@ -14,7 +14,6 @@ Examples:
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
@@ -23,8 +22,8 @@ import numpy as np
 import quantize
 import shapes
 import srpo
+import training
 from png import write_png
-from tosa_writer import write_atomically
 
 METHODS = ("nearest", "lanczos", "srpo_float", "srpo_int8")
 HELD_OUT_SIZE = (192, 128)
@@ -98,7 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="JSON file (default: standard output)")
     parser.add_argument("--pictures", type=Path, help="folder for the test picture by every method")
     options = parser.parse_args(arguments)
-    try:
+    def make() -> dict:
         if not 0 <= options.count <= 1000:
             raise ValueError(f"--count must lie in 0 to 1000, found {options.count}")
         model, _ = srpo.load_model(options.weights)
@@ -113,15 +112,9 @@ def main(arguments: list[str] | None = None) -> int:
             options.pictures.mkdir(parents=True, exist_ok=True)
             for method, picture in enlarge(model, network, shapes.render(test))[0].items():
                 write_png(options.pictures / f"{method}_x{model.scale}.png", picture)
-        text = json.dumps(report, indent=1) + "\n"
-        if options.out:
-            write_atomically(options.out, text.encode())
-        else:
-            print(text, end="")
-    except (ValueError, OSError) as error:
-        print(f"evaluate_srpo: error: {error}", file=sys.stderr)
-        return 1
-    return 0
+        return report
+
+    return training.write_report("evaluate_srpo", options.out, make)
 
 
 if __name__ == "__main__":

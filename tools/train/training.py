@@ -19,6 +19,8 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from tosa_writer import write_atomically
+
 
 def save_atomically(state: dict, path: Path) -> None:
     """Writes a temporary file and renames it, so that `path` is always a whole checkpoint."""
@@ -238,4 +240,18 @@ def command(name: str, arguments: list[str] | None, parse, train) -> int:
         return 1
     if sys.stdout.isatty():
         print()
+    return 0
+
+
+def write_report(name: str, out: Path | None, make) -> int:
+    """Writes what `make()` returns as JSON to `out`, or prints it; the exit code, 1 for refused input."""
+    try:
+        text = json.dumps(make(), indent=1) + "\n"
+        if out:
+            write_atomically(out, text.encode())
+        else:
+            print(text, end="")
+    except (ValueError, OSError) as error:
+        print(f"{name}: error: {error}", file=sys.stderr)
+        return 1
     return 0
