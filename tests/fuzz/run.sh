@@ -1,6 +1,6 @@
 #!/bin/sh
 # run.sh BUILD_FOLDER SECONDS [TARGET...]: fuzz targets for that long each, from seeds made of the models at hand.
-# By default all but layer_fuzz, which makes pipelines of its seeds before it begins.
+# By default all but layer_fuzz, which is built when asked for by name and makes pipelines of its seeds before it begins.
 set -eu
 build=$1
 seconds=$2
