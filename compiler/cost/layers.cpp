@@ -3,9 +3,10 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
-#include <nlohmann/json.hpp>
 #include <numeric>
 #include <set>
+
+#include "ir/base/json.h"
 
 namespace shale {
 namespace {
@@ -357,12 +358,6 @@ Result<std::vector<Layer>> read_layers(const Json& json, const std::string& wher
   return layers;
 }
 
-Result<Json> parse_json(std::string_view text) {
-  Json json = Json::parse(text, nullptr, false);
-  if (json.is_discarded()) return bad_input("", "is no JSON");
-  return json;
-}
-
 /// "8.43K", "1.2M", "36", or an integer.
 Result<Stated> stated_number(const Json& json, const std::string& where) {
   const Error error =
@@ -442,12 +437,12 @@ Result<CostRow> read_row(const Json& json, size_t index) {
 
 Result<std::vector<Layer>> parse_layers(std::string_view json, int64_t scale,
                                         int64_t input_channels) {
-  SHALE_TRY(const Json list, parse_json(json));
+  SHALE_TRY(const Json list, parse_json<Json>(json));
   return read_layers(list, "layers", scale, input_channels);
 }
 
 Result<std::vector<CostRow>> parse_cost_table(std::string_view json) {
-  SHALE_TRY(const Json table, parse_json(json));
+  SHALE_TRY(const Json table, parse_json<Json>(json));
   if (!table.is_object()) return bad_input("", "is no JSON object of schema \"cost-tables/1\"");
   const Fields fields(table, "");
   SHALE_TRY(const std::string schema, fields.text("schema"));

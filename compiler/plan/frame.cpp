@@ -246,8 +246,8 @@ Result<std::pair<FrameExtent, FrameExtent>> frame_sizes(const Frame& frame,
 }
 
 Result<Frame> parse_frame(const std::string& text) {
-  const Json json = Json::parse(text, nullptr, false, true);
-  if (json.is_discarded() || !json.is_object()) return bad_input("", "is not valid JSON");
+  SHALE_TRY(const Json json, parse_json(text));
+  if (!json.is_object()) return bad_input("", "is no JSON object");
   const Fields root(json, "frame");
   SHALE_TRY(const std::string schema, root.text("schema"));
   if (schema == "shale-frame/1")

@@ -2,9 +2,9 @@
 #pragma once
 
 #include <cmath>
-#include <nlohmann/json.hpp>
 
 #include "compiler/plan/frame.h"
+#include "ir/base/json.h"
 
 namespace shale::frame_json {
 

@@ -4,8 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <nlohmann/json.hpp>
 #include <vector>
+
+#include "ir/base/json.h"
 
 namespace shale {
 namespace {
@@ -85,8 +86,8 @@ Result<void> check(const SceneNeeds& needs) {
 }  // namespace
 
 Result<SceneNeeds> parse_needs(const std::string& text) {
-  const Json json = Json::parse(text, nullptr, false, true);
-  if (json.is_discarded() || !json.is_object()) return bad_input("", "is not valid JSON");
+  SHALE_TRY(const Json json, parse_json<Json>(text));
+  if (!json.is_object()) return bad_input("", "is no JSON object");
   if (json.value("schema", Json()) != kNeedsSchema)
     return bad_input("needs", "schema {} is unknown, expected \"{}\"",
                      found(json.value("schema", Json())), kNeedsSchema);

@@ -4,7 +4,8 @@
 
 #include <algorithm>
 #include <charconv>
-#include <nlohmann/json.hpp>
+
+#include "ir/base/json.h"
 
 namespace shale {
 namespace {
@@ -161,7 +162,7 @@ std::string caps_json(const DeviceCaps& caps) {
 }
 
 Result<DeviceCaps> parse_caps(const std::string& text) {
-  Json json = Json::parse(text, nullptr, false);
+  SHALE_TRY(Json json, parse_json<Json>(text));
   if (json.is_object() && json.contains("devices") && json["devices"].is_array()) {
     if (json["devices"].empty()) return bad_input("devices", "there is none");
     json = Json(json["devices"][0]);

@@ -179,7 +179,7 @@ TEST(Layers, SaysWhatHasNoGraph) {
 }
 
 TEST(Layers, RefusesBadLists) {
-  EXPECT_EQ(refusal("[{"), "is no JSON");
+  EXPECT_EQ(refusal("[{"), "is not valid JSON at byte 3");
   EXPECT_EQ(refusal("{}"), "layers: must be a list of at most 1024 layers");
   EXPECT_EQ(refusal("[1]"), "layers[0]: a layer must be an object");
   EXPECT_EQ(refusal(R"([{"k": 3}])"), "layers[0]: \"op\" must be a text");
@@ -221,7 +221,7 @@ TEST(Layers, RefusesBadLists) {
   for (int i = 0; i < 100; ++i) growing += R"(, {"op": "upsample", "factor": 64})";
   EXPECT_EQ(refusal(growing + "]"),
             "layers[4] (upsample): the grid is 16777216/1 of the input, which is beyond 1048576");
-  EXPECT_EQ(refusal(std::string(100000, '[')), "is no JSON");
+  EXPECT_EQ(refusal(std::string(100000, '[')), "is not valid JSON at byte 100001");
 }
 
 std::string table_with(const std::string& row) {
@@ -234,7 +234,7 @@ std::string table_refusal(const std::string& json) {
 }
 
 TEST(CostTable, RefusesBadTables) {
-  EXPECT_EQ(table_refusal("nonsense"), "is no JSON");
+  EXPECT_EQ(table_refusal("nonsense"), "is not valid JSON at byte 2");
   EXPECT_EQ(table_refusal("[]"), "is no JSON object of schema \"cost-tables/1\"");
   EXPECT_EQ(table_refusal(R"({"schema": "cost-tables/2"})"),
             "\"schema\" is \"cost-tables/2\", expected \"cost-tables/1\"");

@@ -61,9 +61,7 @@ const std::vector<Door> kDoors{
     {std::regex("^stb/"), {"tools/"}},
     {std::regex("^zlib"), {"ir/package/pack.cpp", "tools/"}},
     {std::regex("^OpenEXR/"), {"tools/scene/exr.cpp"}},
-    {std::regex("^nlohmann/"),
-     {"compiler/plan/frame_json.h", "compiler/plan/needs.cpp", "compiler/cost/",
-      "compiler/target/caps_json.cpp", "tools/"}},
+    {std::regex("^nlohmann/"), {"ir/base/json.h", "tools/"}},
 };
 
 bool starts_with_any(const std::string& text, const std::vector<std::string>& prefixes) {

@@ -298,6 +298,45 @@ TEST_F(Cli, CompileOptionsAreChecked) {
   EXPECT_NE(dumped.text.find("pad "), std::string::npos) << "the zero point's pad is explicit";
 }
 
+TEST_F(Cli, WhatIsOfAnotherTypeOrOutOfRangeIsRefused) {
+  const std::string small = file("small.tir"), render = " --render 48x32";
+  for (const char* option : {"--frame-ms", "--passes-ms", "--tops", "--memory-gbps"})
+    EXPECT_EQ(shale("report " + kModels + "/srpo_x2 " + option + " nan").exit, 2) << option;
+  EXPECT_EQ(shale("compile " + small + " -o " + file("s") + " --expected-runs nan").exit, 2);
+  const auto refused = [](const std::string& arguments, const std::string& expected) {
+    const Outcome outcome = shale(arguments);
+    EXPECT_EQ(outcome.exit, 1) << arguments;
+    EXPECT_NE(outcome.text.find(expected), std::string::npos) << outcome.text;
+    EXPECT_EQ(std::count(outcome.text.begin(), outcome.text.end(), '\n'), 1) << outcome.text;
+  };
+  // An output never goes over what it is made of.
+  refused("compile " + small + " -o " + small, "is the file of the input already");
+  EXPECT_EQ(read(small), kSmallGraph);
+  const std::string scene = file("scene.json");
+  fs::copy(kModels + "/scenes/test/still.json", scene);
+  refused("scene " + scene + " --needs " + scene + " --frames 1" + render,
+          "is the file of the input");
+  refused(
+      "scene " + scene + " " + scene + " -o " + file("ds") + " --number 9999 --frames 1" + render,
+      "2 sequences from 9999 on do not end at 9999");
+  EXPECT_EQ(shale("scene " + scene + " -o " + file("ds") + " --frames 0").exit, 2);
+  EXPECT_FALSE(fs::exists(file("ds")));
+  const std::string play = "play " + kModels + "/baselines/bilinear -i " + scene + " -o " +
+                           file("out") + " --frames 1" + render;
+  refused(play + " --crop 90,0,8,8", "8x8 pixels at 90,0 do not lie in the result of 96x64");
+  refused(play + " --crop 0,0,2048,8 --zoom 16", "a side of 2048 is outside 1..512");
+  // One folder of a suite that is wrong is one failure.
+  fs::create_directory(file("case"));
+  fs::copy(kModels + "/srpo_x2/model.tosa", file("case/graph.tosa"));
+  for (const char* text : {R"({"expect": 3})", R"({"tosa_file": []})", R"({"inputs": 3})",
+                           R"({"inputs": [{"name": 3}]})", R"([])"}) {
+    write(file("case/desc.json"), text);
+    const Outcome outcome = shale("conform " + file("case"));
+    EXPECT_EQ(outcome.exit, 1) << text;
+    EXPECT_NE(outcome.text.find("desc.json: "), std::string::npos) << outcome.text;
+  }
+}
+
 TEST_F(Cli, JsonIsJson) {
   ASSERT_EQ(shale("compile " + file("small.tir") + " -o " + file("s.shale")).exit, 0);
   for (const std::string& command :
@@ -661,6 +700,36 @@ TEST_F(Cli, TradeGivesAModelFramesOfItsPattern) {
   EXPECT_FALSE(fs::exists(file("taken/frames")));
 }
 
+TEST_F(Cli, TradeKnowsMeshesAndIncludedShadersByTheirContent) {
+  write(file("tri.obj"), "v -1 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n");
+  write(file("s.json"), R"({"schema": "shale-scene/1", "frames": 2, "sun": {"direction": [0, 1, 1]},
+    "camera": {"fov_y": 50, "near": 0.1, "far": 50, "path": [{"frame": 0, "eye": [0, 1, 4], "target": [0, 0, 0]}]},
+    "models": {"m": {"file": "tri.obj"}}, "objects": [{"shape": "mesh", "model": "m"}]})");
+  const fs::copy_options all = fs::copy_options::recursive;
+  for (const char* folder : {"models/baselines", "shaders/frame"})
+    fs::create_directories(file(folder));
+  fs::copy(kModels + "/baselines/tss", file("models/baselines/tss"), all);
+  fs::copy(SHALE_SOURCE_DIR "/shaders/frame", file("shaders/frame"), all);
+  const auto cells = [&] {
+    const Outcome outcome = shale("trade " + file("s.json") + " -o " + file("trade") + " -m " +
+                                  file("models/baselines/tss") + " --output-size 48x32 --frames 2");
+    EXPECT_EQ(outcome.exit, 0) << outcome.text;
+    const fs::directory_iterator files(file("trade/cells"));
+    return std::count_if(begin(files), end(files), [](const fs::directory_entry& entry) {
+      return entry.path().extension() == ".json";
+    });
+  };
+  const auto first = cells();  // what the scene needs, and the method
+  EXPECT_EQ(first, 2);
+  EXPECT_EQ(cells(), first);
+  write(file("tri.obj"), "v -1 0 0\nv 1 0 0\nv 0 0.2 0\nf 1 2 3\n");
+  EXPECT_EQ(cells(), first + 2);
+  // Included by a shader of another folder.
+  const std::string shader = file("shaders/frame/nss/catmull_rom.glsl");
+  write(shader, read(shader) + "\n");
+  EXPECT_EQ(cells(), first + 3);
+}
+
 TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
   const std::string scene = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
   const std::string command =
@@ -707,6 +776,15 @@ TEST_F(Cli, TradeMeasuresCellsOnceAndNamesWhatIsEnough) {
   for (const auto& cell : fs::directory_iterator(file("trade/cells"))) write(cell.path(), "{");
   const nlohmann::json again = nlohmann::json::parse(shale(command + " --json").text);
   EXPECT_EQ(again["scenes"][0]["methods"][0]["psnr_db"], rows[0]["psnr_db"]);
+  // So is one that holds what no cell does.
+  for (const auto& cell : fs::directory_iterator(file("trade/cells"))) {
+    nlohmann::json held = nlohmann::json::parse(read(cell.path()), nullptr, false);
+    if (!held.is_object() || !held.contains("result")) continue;
+    held["result"]["name"] = 5;
+    write(cell.path(), held.dump());
+  }
+  const nlohmann::json mended = nlohmann::json::parse(shale(command + " --json").text);
+  EXPECT_EQ(mended["scenes"][0]["methods"][0]["name"], rows[0]["name"]);
   for (const char* wrong :
        {" --precisions int9", " --scales 0.5", " --output-size 96", " --scales 7"})
     EXPECT_NE(shale(command + wrong).exit, 0) << wrong;
@@ -793,7 +871,7 @@ TEST_F(Cli, TuneWritesChoicesThatCompileObeys) {
       {R"({"schema":"shale-choices/1","choices":{"y":"conv2d_s8_phase"}})", "conv2d_s8_phase"},
       {R"({"schema":"shale-choices/1"})", "shale-choices/1"},
       {R"({"schema":"other","choices":{}})", "shale-choices/1"},
-      {"nonsense", "shale-choices/1"}};
+      {"nonsense", "c.json: error: is not valid JSON at byte 2"}};
   for (const auto& [text, expected] : refused) {
     write(file("c.json"), text);
     const Outcome outcome = shale("compile " + file("small.tir") + " -o " + file("s.shale") +

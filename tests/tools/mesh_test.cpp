@@ -264,7 +264,33 @@ TEST_F(MeshTest, GltfNodesStandInTheirPlaces) {
   EXPECT_EQ(error_text(load_gltf(*archive, "a.gltf")),
             at("a.gltf") + ": accessor 0 with 4 elements ends behind its buffer of 36 bytes");
   write("a.gltf", "{");
-  EXPECT_NE(error_text(load_gltf(*archive, "a.gltf")).find("a.gltf: is no glTF that can be read"),
+  EXPECT_EQ(error_text(load_gltf(*archive, "a.gltf")),
+            at("a.gltf") + ": is no glTF that can be read: is not valid JSON at byte 2");
+}
+
+// A small file may name much: what it asks for is bounded, and what lies outside it is not read.
+TEST_F(MeshTest, GltfThatAsksForTooMuchIsRefused) {
+  const auto archive = open_folder(root_.string());
+  const auto refusal = [&](const std::string& rest) {
+    write("a.gltf",
+          R"({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}])" + rest + "}");
+    return error_text(load_gltf(*archive, "a.gltf"));
+  };
+  EXPECT_EQ(refusal(", \"extras\": " + std::string(200000, '[') + std::string(200000, ']')),
+            at("a.gltf") + ": is no glTF that can be read: is nested deeper than 64 levels");
+  std::string nodes = "{}";
+  for (int i = 0; i < 40; ++i)
+    nodes = fmt::format(R"({{"children": [{0}, {0}]}}, )", 40 - i) + nodes;
+  EXPECT_EQ(refusal(", \"nodes\": [" + nodes + "]"),
+            at("a.gltf") + ": more than 100000 nodes are shown");
+  const std::string buffer =
+      R"(, "nodes": [{}], "buffers": [{"byteLength": 3, "uri": "data:application/octet-stream;base64,AAAA"}])";
+  EXPECT_EQ(refusal(buffer +
+                    R"(, "bufferViews": [{"buffer": 0, "byteOffset": 1000000000, "byteLength": 36}],
+      "images": [{"bufferView": 0, "mimeType": "image/png", "name": "far"}])"),
+            at("a.gltf") + ": image \"far\" ends behind its buffer of 3 bytes");
+  EXPECT_NE(refusal(R"(, "nodes": [{}], "buffers": [{"byteLength": 3, "uri": "../"}])")
+                .find("is a folder"),
             std::string::npos);
 }
 

@@ -44,8 +44,16 @@ TEST_F(OutputsTest, AFileHasOneOwner) {
   EXPECT_EQ(twice.error().message, "is the file of a already, so c cannot go there");
   EXPECT_TRUE(outputs.claim("null", "/dev/null"));
   EXPECT_TRUE(outputs.claim("null again", "/dev/null"));
-  outputs.keep(path("input"));
+  outputs.keep({path("input")});
   EXPECT_FALSE(outputs.claim("d", path("input")));
+  // Of a folder what it is made of, not what an earlier command left in it.
+  fs::create_directory(path("model"));
+  for (const char* name : {"model/frame.json", "model/page.html", "model/trade.json"})
+    ASSERT_TRUE(write_text(path(name), "x"));
+  outputs.keep({path("model")});
+  EXPECT_FALSE(outputs.claim("e", path("model/frame.json")));
+  EXPECT_TRUE(outputs.claim("f", path("model/page.html")));
+  EXPECT_TRUE(outputs.claim("g", path("model/trade.json")));
 }
 
 TEST_F(OutputsTest, PicturesArePng) {

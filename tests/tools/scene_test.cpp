@@ -36,7 +36,7 @@ TEST(SceneFormat, RefusesWhatIsWrongNamingFieldAndExpectation) {
   const struct {
     std::string text, expected;
   } kCases[]{
-      {"[", "is not valid JSON"},
+      {"[", "is not valid JSON at byte 2"},
       {"[]", "scene: found array, expected an object"},
       {R"({"schema": "shale-scene/2"})",
        "scene: \"schema\" is \"shale-scene/2\", expected \"shale-scene/1\""},
@@ -104,8 +104,9 @@ TEST(SceneFormat, RefusesGroupsWithoutAnEnd) {
             std::string::npos);
   // Parentheses alone must not exhaust the stack.
   const std::string deep(200000, '[');
-  EXPECT_EQ(error_text(parse_scene(deep)), "is not valid JSON");
-  EXPECT_FALSE(parse_scene(scene_text("\"objects\": " + deep + std::string(200000, ']'))));
+  EXPECT_EQ(error_text(parse_scene(deep)), "is not valid JSON at byte 200001");
+  EXPECT_EQ(error_text(parse_scene(scene_text("\"objects\": " + deep + std::string(200000, ']')))),
+            "is nested deeper than 64 levels");
 }
 
 TEST(SceneFormat, TheScenesOfTheRepositoryAreFit) {
@@ -920,7 +921,7 @@ TEST_F(DatasetTest, RefusesFilesThatAreNotAsExpected) {
   EXPECT_EQ(must(DatasetSource::open(json))->frame_count(), 1u);
 
   replace_in(json, "\"FovY\": 0.8", "\"FovY\": \"0.8");
-  EXPECT_EQ(error_text(DatasetSource::open(json)), json + ": is not a JSON object");
+  EXPECT_EQ(error_text(DatasetSource::open(json)), json + ": is not valid JSON at byte 340");
 }
 
 TEST_F(DatasetTest, RefusesSequencesThatBreakTheRules) {

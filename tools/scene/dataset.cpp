@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "ir/base/file.h"
+#include "ir/base/json.h"
 #include "tools/scene/exr.h"
 #include "tools/scene/json_fields.h"
 
@@ -279,8 +280,8 @@ Result<void> DatasetSource::measure_pictures() {
 }
 
 Result<void> DatasetSource::parse(const std::string& text, double ratio) {
-  const nlohmann::json json = nlohmann::json::parse(text, nullptr, false);
-  if (json.is_discarded() || !json.is_object()) return bad_input("", "is not a JSON object");
+  SHALE_TRY(const nlohmann::json json, parse_json(text));
+  if (!json.is_object()) return bad_input("", "is no JSON object");
   const Fields root(json, "sequence");
   if (!root.has("TargetResolution"))
     return bad_input("sequence", "\"TargetResolution\" is missing, expected an object");

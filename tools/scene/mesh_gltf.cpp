@@ -6,7 +6,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <filesystem>
+#include <map>
 
+#include "ir/base/file.h"
+#include "ir/base/json.h"
 #include "tools/scene/mesh.h"
 #include "tools/scene/vector.h"
 
@@ -14,6 +18,11 @@ namespace shale {
 namespace {
 
 constexpr int kMaxDepth = 64;
+constexpr size_t kMaxVisits = 100'000;
+constexpr size_t kMaxElements = 16 * kMaxTriangles;
+constexpr size_t kMaxTexels = size_t{1} << 26;
+constexpr size_t kMaxImageBytes = size_t{1} << 28;
+constexpr size_t kGlbText = 20;
 
 class GltfReader {
  public:
@@ -21,8 +30,11 @@ class GltfReader {
 
   Result<MeshModel> read(const std::vector<uint8_t>& bytes, const std::string& folder,
                          bool binary) {
+    SHALE_TRY_VOID(check_json(bytes, binary));
     tinygltf::TinyGLTF loader;
     std::string error, warning;
+    loader.SetFsCallbacks({&exists, &as_it_is, &read_whole, nullptr, nullptr});
+    loader.SetImageLoader(&keep_image, this);
     const auto size = static_cast<unsigned>(std::min<size_t>(bytes.size(), 1u << 31));
     const bool loaded =
         binary
@@ -43,6 +55,65 @@ class GltfReader {
   }
 
  private:
+  /// The library copies parts of the JSON by recursion.
+  Result<void> check_json(const std::vector<uint8_t>& bytes, bool binary) const {
+    std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+    if (binary) {  // 12 bytes of header, size and type of the chunk of JSON, and that
+      if (text.size() < kGlbText) return bad_input(where_, "ends after {} bytes", text.size());
+      uint32_t size = 0;
+      std::memcpy(&size, bytes.data() + kGlbText - 8, sizeof(size));
+      text = text.substr(kGlbText, size);
+    }
+    if (const Result<nlohmann::json> json = parse_json(text); !json)
+      return bad_input(where_, "is no glTF that can be read: {}", json.error().text());
+    return {};
+  }
+
+  // What the library does with files: it takes names as they are, and of images the bytes.
+  static bool exists(const std::string& path, void*) {
+    std::error_code ignored;
+    return std::filesystem::exists(path, ignored);
+  }
+  static std::string as_it_is(const std::string& path, void*) { return path; }
+  static bool read_whole(std::vector<unsigned char>* to, std::string* error,
+                         const std::string& path, void*) {
+    Result<std::vector<uint8_t>> bytes = read_file(path);
+    if (!bytes) return *error += bytes.error().text(), false;
+    *to = *std::move(bytes);
+    return true;
+  }
+  static bool keep_image(tinygltf::Image* image, int, std::string* error, std::string*, int, int,
+                         const unsigned char* bytes, int size, void* reader) {
+    if (image->bufferView >= 0) return true;  // the bytes may lie behind the buffer's end
+    size_t& kept = static_cast<GltfReader*>(reader)->image_bytes_;
+    kept += static_cast<size_t>(size);
+    if (kept > kMaxImageBytes)
+      return *error += fmt::format("images of more than {} bytes", kMaxImageBytes), false;
+    image->image.assign(bytes, bytes + size);
+    return true;
+  }
+
+  /// An image as a file holds it.
+  Result<std::vector<uint8_t>> image_bytes(const tinygltf::Image& image) const {
+    if (image.bufferView < 0) return image.image;
+    SHALE_TRY(const auto* view, item(file_.bufferViews, image.bufferView, "buffer view"));
+    SHALE_TRY(const auto* buffer, item(file_.buffers, view->buffer, "buffer"));
+    const size_t begin = view->byteOffset, size = view->byteLength;
+    if (begin > buffer->data.size() || size > buffer->data.size() - begin)
+      return bad_input(where_, "image \"{}\" ends behind its buffer of {} bytes", image.name,
+                       buffer->data.size());
+    const auto first = buffer->data.begin() + static_cast<ptrdiff_t>(begin);
+    return std::vector<uint8_t>(first, first + static_cast<ptrdiff_t>(size));
+  }
+
+  Result<void> add_texture(MeshTexture texture) {
+    texels_ += texture.pixels.size() / 4;
+    if (texels_ > kMaxTexels)
+      return bad_input(where_, "textures of more than {} texels", kMaxTexels);
+    model_.textures.push_back(std::move(texture));
+    return {};
+  }
+
   template <typename Item>
   Result<const Item*> item(const std::vector<Item>& all, int index, const char* what) const {
     if (index < 0 || static_cast<size_t>(index) >= all.size())
@@ -52,17 +123,10 @@ class GltfReader {
 
   Result<void> read_materials() {
     for (const tinygltf::Image& image : file_.images) {
-      if (image.component != 4 || image.bits != 8 || image.width < 1 || image.height < 1 ||
-          image.image.size() !=
-              size_t{4} * static_cast<size_t>(image.width) * static_cast<size_t>(image.height) ||
-          static_cast<uint32_t>(std::max(image.width, image.height)) > kMaxTextureSide)
-        return bad_input(where_,
-                         "image \"{}\" has {}x{} pixels of {} times {} bits, expected 4 times "
-                         "8 and at most {} pixels a side",
-                         image.uri, image.width, image.height, image.component, image.bits,
-                         kMaxTextureSide);
-      model_.textures.push_back({image.uri, static_cast<uint32_t>(image.width),
-                                 static_cast<uint32_t>(image.height), image.image});
+      SHALE_TRY(const std::vector<uint8_t> bytes, image_bytes(image));
+      SHALE_TRY(MeshTexture texture,
+                decode_texture(bytes, fmt::format("{}: image \"{}\"", where_, image.uri)));
+      SHALE_TRY_VOID(add_texture(std::move(texture)));
     }
     for (const tinygltf::Material& from : file_.materials) {
       MeshMaterial m;
@@ -100,13 +164,15 @@ class GltfReader {
     material.cut_out = true;
     const double scale = 0.5 * std::max(alpha, 0.0) / cutoff;
     if (scale == 1.0) return {};
+    const auto [known, is_new] =
+        cut_outs_.try_emplace({material.texture, scale}, static_cast<int>(model_.textures.size()));
+    if (!is_new) return material.texture = known->second, Result<void>();
     MeshTexture texture = model_.textures[static_cast<size_t>(material.texture)];
     for (size_t i = 3; i < texture.pixels.size(); i += 4)
       texture.pixels[i] = static_cast<uint8_t>(
           std::lround(std::min(scale * static_cast<double>(texture.pixels[i]), 255.0)));
-    material.texture = static_cast<int>(model_.textures.size());
-    model_.textures.push_back(std::move(texture));
-    return {};
+    material.texture = known->second;
+    return add_texture(std::move(texture));
   }
 
   static Affine pose_of(const tinygltf::Node& node) {
@@ -134,6 +200,8 @@ class GltfReader {
 
   Result<void> read_node(int index, const Affine& parent, int depth) {
     if (depth > kMaxDepth) return bad_input(where_, "nodes are nested deeper than {}", kMaxDepth);
+    if (++visits_ > kMaxVisits)
+      return bad_input(where_, "more than {} nodes are shown", kMaxVisits);
     SHALE_TRY(const tinygltf::Node* node, item(file_.nodes, index, "node"));
     const Affine pose = parent * pose_of(*node);
     if (node->mesh >= 0) {
@@ -147,7 +215,7 @@ class GltfReader {
 
   /// `components` numbers for each element; integers as they are, or parts of 1 if they are
   /// normalized.
-  Result<std::vector<double>> values(int index, size_t components) const {
+  Result<std::vector<double>> values(int index, size_t components) {
     SHALE_TRY(const tinygltf::Accessor* accessor, item(file_.accessors, index, "accessor"));
     SHALE_TRY(const tinygltf::BufferView* view,
               item(file_.bufferViews, accessor->bufferView, "buffer view"));
@@ -167,6 +235,9 @@ class GltfReader {
                                     buffer->data.size() - begin))
       return bad_input(where_, "accessor {} with {} elements ends behind its buffer of {} bytes",
                        index, accessor->count, buffer->data.size());
+    elements_ += accessor->count;
+    if (elements_ > kMaxElements)
+      return bad_input(where_, "its nodes show more than {} vertices and indices", kMaxElements);
     std::vector<double> result(accessor->count * components);
     for (size_t i = 0; i < accessor->count; ++i)
       for (size_t c = 0; c < components; ++c) {
@@ -260,6 +331,9 @@ class GltfReader {
   const std::string where_;
   tinygltf::Model file_;
   MeshModel model_;
+  std::map<std::pair<int, double>, int> cut_outs_;  ///< textures of a cutoff of their own
+  // What a small file may ask for again and again.
+  size_t visits_ = 0, elements_ = 0, texels_ = 0, image_bytes_ = 0;
 };
 
 }  // namespace

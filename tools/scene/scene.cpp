@@ -6,6 +6,7 @@
 #include <map>
 
 #include "ir/base/file.h"
+#include "ir/base/json.h"
 #include "tools/scene/json_fields.h"
 
 namespace shale {
@@ -671,8 +672,7 @@ uint32_t scene_hash(uint32_t a, uint32_t b) {
 }
 
 Result<Scene> parse_scene(const std::string& text, const std::string& folder) {
-  const nlohmann::json json = nlohmann::json::parse(text, nullptr, false, true);
-  if (json.is_discarded()) return bad_input("", "is not valid JSON");
+  SHALE_TRY(const nlohmann::json json, parse_json(text));
   const Fields root(json, "scene");
   SHALE_TRY_VOID(root.only({"schema", "frames", "frame_rate", "seed", "exposure", "exposure_signal",
                             "camera", "sun", "sky", "signals", "lights", "models", "materials",

@@ -235,12 +235,13 @@ void print_model(const Json& json, bool markdown) {
       100 * (json["total"]["predicted_ms"].get<double>() / json["total"]["time_ms"].get<double>() -
              1),
       100 * json["total"]["close_share"].get<double>(), 100 * kClose);
-  fmt::print("compiled in {:.0f} ms to {:.1f} MB; arena {} bytes, {:.1f} % above the bound\n",
-             json["compile_ms"].get<double>(), 1e-6 * json["package_bytes"].get<double>(),
-             json["arena_bytes"].get<uint64_t>(),
-             100 * (json["arena_bytes"].get<double>() /
-                        std::max(json["arena_lower_bound_bytes"].get<double>(), 1.0) -
-                    1));
+  const double arena = json["arena_bytes"].get<double>();
+  const double least = json["arena_lower_bound_bytes"].get<double>();
+  fmt::print("compiled in {:.0f} ms to {:.2f} MB; {}\n", json["compile_ms"].get<double>(),
+             1e-6 * json["package_bytes"].get<double>(),
+             least == 0 ? "no arena"
+                        : fmt::format("arena {:.0f} bytes, {:.1f} % above the bound", arena,
+                                      100 * (arena / least - 1)));
   for (const auto& [key, label] : {std::pair{"first_start", "first start, caches empty"},
                                    std::pair{"second_start", "second start, caches warm"}})
     if (json.contains(key))

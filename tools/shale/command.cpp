@@ -8,6 +8,7 @@
 
 #include "compiler/target/caps_json.h"
 #include "ir/base/file.h"
+#include "ir/base/json.h"
 #include "ir/text/text.h"
 #include "tools/shale/device_run.h"
 
@@ -122,9 +123,15 @@ Result<std::pair<std::string, Shape>> parse_input_shape(const std::string& text)
   return std::pair{text.substr(0, equals), std::move(shape)};
 }
 
+Result<Json> read_json(const std::string& path) {
+  SHALE_TRY(const std::string text, read_text(path));
+  Result<Json> json = parse_json<Json>(text);
+  if (!json) return in_file(path, json.error());
+  return json;
+}
+
 Result<std::map<std::string, std::string>> read_choices(const std::string& path) {
-  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-  const Json json = Json::parse(bytes.begin(), bytes.end(), nullptr, false);
+  SHALE_TRY(const Json json, read_json(path));
   if (!json.is_object() || json.value("schema", Json()) != kChoicesSchema ||
       !json.contains("choices") || !json["choices"].is_object())
     return bad_input(path, "is no file of shale tune, expected schema {}", kChoicesSchema);
@@ -145,8 +152,7 @@ Json constants_json(const std::string& target, const MeasuredConstants& constant
 }
 
 Result<std::map<std::string, MeasuredConstants>> read_constants(const std::string& path) {
-  SHALE_TRY(const std::string text, read_text(path));
-  const Json json = Json::parse(text, nullptr, false);
+  SHALE_TRY(const Json json, read_json(path));
   const auto number = [](const Json& object, std::string_view key) -> std::optional<double> {
     const auto found = object.find(key);
     if (found == object.end() || !found->is_number()) return std::nullopt;
@@ -233,7 +239,7 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
                  "runs to spread the driver's compile time over: fewer give less code, more give "
                  "faster runs (default: 1 to run a network, 1000 to compile one alone, 100000 with "
                  "the passes of a frame)")
-      ->check(CLI::Range(1.0, 1e12))
+      ->check(number_in(1, 1e12))
       ->default_str("");
   app.add_option("--prefer", prefer,
                  "start: kernels that the driver compiles at once; throughput: fast ones, for "
@@ -364,6 +370,12 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
     };
   }
   return options;
+}
+
+std::vector<std::string> CompileArguments::files() const {
+  std::vector<std::string> files{frame, choices, constants, needs};
+  files.insert(files.end(), targets.begin(), targets.end());
+  return files;
 }
 
 std::vector<std::string> selection_lines(const Compiled& compiled) {

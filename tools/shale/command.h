@@ -101,6 +101,8 @@ struct CompileArguments {
   /// Errors: kBadInput for an option that cannot be understood; kDevice where the target is a device
   /// that is not there.
   Result<CompileOptions> options(const ModelFiles& model) const;
+  /// What the options read, where that is files.
+  std::vector<std::string> files() const;
 
  private:
   Result<void> add_targets(CompileOptions& options) const;
@@ -108,6 +110,9 @@ struct CompileArguments {
 
 /// What `shale tune` writes: JSON of this schema.
 inline constexpr const char* kChoicesSchema = "shale-choices/1";
+/// The JSON that a file holds.
+/// Errors: kIo, kBadInput naming the file.
+Result<Json> read_json(const std::string& path);
 /// Kernel family by layer, from a file of `shale tune`.
 /// Errors: kIo, kBadInput naming the file and the field.
 Result<std::map<std::string, std::string>> read_choices(const std::string& path);

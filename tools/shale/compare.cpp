@@ -65,8 +65,7 @@ Result<std::map<std::string, Meaning>> read_meanings(const std::string& model) {
   const std::string path = (fs::path(model).parent_path() / "quantization.json").string();
   std::error_code ignored;
   if (!fs::exists(path, ignored)) return meanings;
-  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-  const Json json = Json::parse(bytes.begin(), bytes.end(), nullptr, false);
+  SHALE_TRY(const Json json, read_json(path));
   if (!json.is_object() || json.value("schema", Json()) != "shale-quantization/1" ||
       !json.contains("files") || !json["files"].is_object())
     return bad_input(path, "expected schema shale-quantization/1 with files");

@@ -14,6 +14,8 @@ struct Arguments {
 
 Result<int> compile_to_file(const Arguments& arguments) {
   Outputs outputs;
+  outputs.keep({arguments.model});
+  outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(const ModelFiles model,
             load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));

@@ -75,11 +75,27 @@ class Runner {
 
  private:
   static Result<Json> read_description(const fs::path& folder) {
-    SHALE_TRY(const std::string text, read_text((folder / "desc.json").string()));
-    Json json = Json::parse(text, nullptr, false);
-    if (json.is_discarded() || !json.is_object())
-      return bad_input((folder / "desc.json").string(), "is not valid JSON");
+    const std::string path = (folder / "desc.json").string();
+    SHALE_TRY(Json json, read_json(path));
+    if (!json.is_object()) return bad_input(path, "is no JSON object");
+    SHALE_TRY_VOID(check_texts(json, {"expect", "tosa_file", "reason"}, path));
+    for (const char* list : {"inputs", "outputs"}) {
+      if (!json.contains(list)) continue;
+      if (!json[list].is_array()) return bad_input(path, "\"{}\" is no list", list);
+      for (const Json& entry : json[list]) {
+        if (!entry.is_object()) return bad_input(path, "\"{}\" has what is no object", list);
+        SHALE_TRY_VOID(check_texts(entry, {"name", "file", "error"}, path));
+      }
+    }
     return json;
+  }
+
+  static Result<void> check_texts(const Json& object, std::initializer_list<const char*> keys,
+                                  const std::string& path) {
+    for (const char* key : keys)
+      if (object.contains(key) && !object[key].is_string())
+        return bad_input(path, "\"{}\" is a {}, expected a text", key, object[key].type_name());
+    return {};
   }
 
   /// First difference, empty if there is none; an error if the file is refused.

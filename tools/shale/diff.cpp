@@ -138,8 +138,7 @@ Result<int> diff(const Arguments& arguments) {
       maps[i] = (fs::path(arguments.map) / (pairs[i].name + ".png")).string();
   }
   Outputs outputs;
-  for (const Pair& pair : pairs)
-    for (const std::string& path : {pair.reference, pair.test}) outputs.keep(path);
+  for (const Pair& pair : pairs) outputs.keep({pair.reference, pair.test});
   for (const std::string& path : maps) SHALE_TRY_VOID(outputs.claim_picture("--map", path));
   Json json{{"reference", arguments.reference}, {"test", arguments.test}};
   if (options.flip) json["pixels_per_degree"] = arguments.pixels_per_degree;

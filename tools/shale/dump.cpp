@@ -359,6 +359,8 @@ Result<Dump> dump_file(const Arguments& arguments, const ModelFiles& model) {
 
 Result<int> dump(const Arguments& arguments) {
   Outputs outputs;
+  outputs.keep({arguments.file});
+  outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(const ModelFiles model,
             load_model(arguments.file, arguments.compile.frame, arguments.compile.precision));

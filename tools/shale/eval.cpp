@@ -147,6 +147,10 @@ Result<int> eval(const Arguments& arguments) {
   if (arguments.margin > 0 && times.empty())
     return bad_input("--margin", "is for generated pictures: give --generate or --at");
   Outputs outputs;
+  outputs.keep(arguments.inputs);
+  outputs.keep(arguments.methods);
+  outputs.keep(arguments.pictures);
+  outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));

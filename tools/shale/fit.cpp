@@ -17,6 +17,9 @@ struct Arguments {
   bool json = false;
 };
 
+/// Of times in us, roofs and amounts of work: their products and squares stay finite.
+constexpr double kMost = 1e15;
+
 /// The work of a row of shale bench.
 Result<WorkTable> read_work(const Json& row, const std::string& where) {
   if (!row.contains("work") || !row["work"].is_object())
@@ -25,7 +28,8 @@ Result<WorkTable> read_work(const Json& row, const std::string& where) {
   for (const auto& [name, amount] : row["work"].items()) {
     size_t i = 0;
     while (i < kWorkCount && work_info(static_cast<Work>(i)).name != name) ++i;
-    if (i == kWorkCount || !amount.is_number() || !(amount.get<double>() >= 0))
+    if (i == kWorkCount || !amount.is_number() ||
+        !(amount.get<double>() >= 0 && amount.get<double>() <= kMost))
       return bad_input(where, "\"work\": \"{}\" is no amount of work", name);
     amounts.at(i) = amount.get<double>();
   }
@@ -39,8 +43,7 @@ struct Data {
 };
 
 Result<void> read_bench(const std::string& path, Data& data) {
-  SHALE_TRY(const std::string text, read_text(path));
-  const Json json = Json::parse(text, nullptr, false);
+  SHALE_TRY(const Json json, read_json(path));
   if (!json.is_object() || !json.contains("models") || !json["models"].is_array())
     return bad_input(path, "holds no times; shale bench --json writes them");
   for (const Json& model : json["models"]) {
@@ -48,7 +51,8 @@ Result<void> read_bench(const std::string& path, Data& data) {
                        model["roof_gop_per_s"].is_number() && model.contains("dispatches") &&
                        model["dispatches"].is_array();
     const double roof = whole ? model["roof_gop_per_s"].get<double>() : 0;
-    if (!(roof > 0)) return bad_input(path, "a model has no roof or no dispatches");
+    if (!(roof > 0 && roof <= kMost))
+      return bad_input(path, "a model has no roof up to {:g} or no dispatches", kMost);
     if (data.target.empty() && model.contains("target") && model["target"].is_string())
       data.target = model["target"].get<std::string>();
     for (size_t i = 0; i < model["dispatches"].size(); ++i) {
@@ -57,7 +61,8 @@ Result<void> read_bench(const std::string& path, Data& data) {
       const bool timed = row.is_object() && row.contains("time_ms") && row["time_ms"].is_number();
       MeasuredWork measured;
       measured.time_us = timed ? 1e3 * row["time_ms"].get<double>() : 0;
-      if (!(measured.time_us > 0)) return bad_input(where, "has no \"time_ms\" above 0");
+      if (!(measured.time_us > 0 && measured.time_us <= kMost))
+        return bad_input(where, "has no \"time_ms\" above 0 and up to {:g}", 1e-3 * kMost);
       SHALE_TRY(measured.amounts, read_work(row, where));
       data.rows.push_back(measured);
       data.roofs.push_back(roof);
@@ -68,6 +73,7 @@ Result<void> read_bench(const std::string& path, Data& data) {
 
 Result<int> run(const Arguments& arguments) {
   Outputs outputs;
+  outputs.keep(arguments.files);
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   Data data;
   for (const std::string& file : arguments.files) SHALE_TRY_VOID(read_bench(file, data));

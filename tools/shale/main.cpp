@@ -1,6 +1,7 @@
 // tools/shale/main.cpp -- the one program: parses the command line and runs a subcommand.
 #include <cerrno>
 #include <cstring>
+#include <filesystem>
 #include <iterator>
 #include <new>
 #include <sstream>
@@ -65,12 +66,16 @@ int run_caught(int argc, char** argv) {
     const int code = run(argc, argv);
     if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return code;
     print_error(io_error("standard output", "cannot write: {}", std::strerror(errno)));
+  } catch (const std::filesystem::filesystem_error& error) {
+    print_error(io_error(error.path1().string(), "{}", error.code().message()));
   } catch (const std::system_error& error) {
     print_error(io_error("standard output", "cannot write: {}", error.code().message()));
   } catch (const std::bad_alloc&) {
     print_error(io_error("shale", "there is not enough memory for this"));
   } catch (const std::length_error&) {
     print_error(io_error("shale", "there is not enough memory for this"));
+  } catch (const std::exception& error) {
+    print_error(io_error("shale", "internal error: {}", error.what()));
   }
   return kRefused;
 }

@@ -8,9 +8,36 @@
 
 namespace shale {
 
-void Outputs::keep(const std::string& path) {
-  if (const Result<std::string> identity = output_identity(path); identity && !identity->empty())
-    owners_.emplace(*identity, "the input");
+namespace fs = std::filesystem;
+
+namespace {
+
+/// Whether a file of an input's folder is a part of it, and not the result of an earlier command.
+bool is_part(const fs::path& file) {
+  const std::string suffix = file.extension().string(), stem = file.stem().string();
+  if (suffix == ".json")
+    return stem == "frame" || stem == "quantization" ||
+           stem.find_first_not_of("0123456789") == std::string::npos;
+  return suffix != ".html" && suffix != ".csv";
+}
+
+}  // namespace
+
+void Outputs::keep(const std::vector<std::string>& paths) {
+  const auto keep_file = [&](const std::string& path) {
+    if (const Result<std::string> identity = output_identity(path); identity && !identity->empty())
+      owners_.emplace(*identity, "the input");
+  };
+  std::error_code ignored;
+  for (const std::string& path : paths) {
+    if (!fs::is_directory(path, ignored)) {
+      keep_file(path);
+      continue;
+    }
+    for (fs::directory_iterator at(path, ignored); at != fs::directory_iterator();
+         at.increment(ignored))
+      if (at->is_regular_file(ignored) && is_part(at->path())) keep_file(at->path().string());
+  }
 }
 
 Result<void> Outputs::claim(const std::string& what, const std::string& path) {
@@ -24,7 +51,7 @@ Result<void> Outputs::claim(const std::string& what, const std::string& path) {
 }
 
 Result<void> Outputs::claim_picture(const std::string& what, const std::string& path) {
-  std::string suffix = std::filesystem::path(path).extension().string();
+  std::string suffix = fs::path(path).extension().string();
   std::ranges::transform(suffix, suffix.begin(),
                          [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (!suffix.empty() && suffix != ".png")

@@ -5,6 +5,7 @@
 #include <map>
 #include <set>
 #include <string>
+#include <vector>
 
 #include "ir/base/result.h"
 
@@ -14,8 +15,8 @@ namespace shale {
 /// results of one command never share a file.
 class Outputs {
  public:
-  /// `path` is an input that no result may replace.
-  void keep(const std::string& path);
+  /// Inputs that no result may replace; of a folder, the files that make a model, a data set or pictures.
+  void keep(const std::vector<std::string>& paths);
   /// `what` is the option or the result that goes to `path`; an empty path is none.
   /// Errors: as write_file; kBadInput if another result or an input has the file.
   Result<void> claim(const std::string& what, const std::string& path);

@@ -96,6 +96,10 @@ Result<Picture> load_picture(const std::string& path) {
 }
 
 Result<void> save_png(const std::string& path, const Picture& picture) {
+  if ((4 * uint64_t{picture.width} + 1) * picture.height >
+      INT32_MAX)  // what the encoder counts with
+    return unsupported(path, "a picture of {}x{} pixels is too large to be written as PNG",
+                       picture.width, picture.height);
   std::vector<uint8_t> bytes;
   const auto append = [](void* context, void* data, int size) {
     auto* const to = static_cast<std::vector<uint8_t>*>(context);

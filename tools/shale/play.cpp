@@ -20,6 +20,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr uint32_t kMosaicWidth = 480;  ///< of a panel
+constexpr uint32_t kMaxPanel = 8192;    ///< side of a magnified part
 constexpr uint32_t kFrameRate = 30;     ///< of frames that are not generated, in an animation
 
 struct Arguments {
@@ -245,7 +246,13 @@ Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, Sourc
     return is_pictures ? static_cast<PictureSource&>(source).file(i)
                        : fmt::format("{} frame {}", arguments.input, i);
   };
-  for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep(label(i));
+  outputs.keep({arguments.model, arguments.input, arguments.reference});
+  outputs.keep(arguments.compile.files());
+  for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep({label(i)});
+  if (kind == SourceKind::kDataset)  // which has folders
+    for (fs::recursive_directory_iterator at(arguments.input, ignored), end; at != end;
+         at.increment(ignored))
+      if (at->is_directory(ignored)) outputs.keep({at->path().string()});
   for (size_t s = 0; s < shown.size(); ++s) {
     const uint32_t i = shown[s].frame;
     const std::string name =
@@ -271,8 +278,9 @@ Result<int> play(const Arguments& arguments) {
   if (!arguments.crop.empty() && arguments.crop.size() != 4)
     return bad_input("--crop", "expected X,Y,WIDTH,HEIGHT");
   for (size_t i = 2; i < arguments.crop.size(); ++i)
-    if (arguments.crop[i] < 1 || arguments.crop[i] > 2048)
-      return bad_input("--crop", "a side of {} is outside 1..2048", arguments.crop[i]);
+    if (arguments.crop[i] < 1 || arguments.crop[i] > kMaxPanel / arguments.zoom)
+      return bad_input("--crop", "a side of {} is outside 1..{}, magnified by {}",
+                       arguments.crop[i], kMaxPanel / arguments.zoom, arguments.zoom);
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   const SourceKind kind = source_kind(arguments.input);
   const bool is_sequence = kind != SourceKind::kPictures;
@@ -295,6 +303,15 @@ Result<int> play(const Arguments& arguments) {
     SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package.variants.front()));
     SHALE_TRY(source, open_scene(arguments.input, arguments.source, device, sizes.first,
                                  sizes.second, sandwich.pattern));
+  }
+  if (!arguments.crop.empty()) {
+    SHALE_TRY(const auto sizes, sandwich_sizes(sandwich.package.variants.front()));
+    const std::vector<uint32_t>& c = arguments.crop;
+    const Extent result = sizes.second;
+    if (c[0] >= result.width || c[2] > result.width - c[0] || c[1] >= result.height ||
+        c[3] > result.height - c[1])
+      return bad_input("--crop", "{}x{} pixels at {},{} do not lie in the result of {}x{}", c[2],
+                       c[3], c[0], c[1], result.width, result.height);
   }
   if (arguments.check && sandwich.graphs.empty())
     return bad_input("--check", "{} holds no graph; give the model's folder", arguments.model);

@@ -94,6 +94,9 @@ std::string csv_of(const Json& files) {
 
 Result<int> report_files(const ReportArguments& arguments) {
   Outputs outputs;
+  outputs.keep(arguments.files);
+  outputs.keep(arguments.measured);
+  outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--csv", arguments.csv));
   SHALE_TRY_VOID(outputs.claim("--html", arguments.html));
   Json files = Json::array();
@@ -187,22 +190,22 @@ Action add_report(CLI::App& app) {
   app.add_option("--device", arguments->device,
                  "modelled device: mobile, desktop-dot8 or desktop-matrix");
   const auto positive = [](CLI::Option* option) {
-    option->check(CLI::Range(1e-6, 1e12))->default_str("");
+    option->check(number_in(1e-6, 1e12))->default_str("");
   };
   positive(
       app.add_option("--tops", model.tops, "its peak, 1e12 int8 operations a second, 2 per MAC"));
   app.add_option("--efficiency", model.efficiency, "share of the peak that convolutions reach")
-      ->check(CLI::Range(1e-6, 1.0))
+      ->check(number_in(1e-6, 1))
       ->default_str("");
   positive(app.add_option("--memory-gbps", model.memory_gbps, "its memory bandwidth, GB/s"));
   positive(app.add_option("--cache-bytes", model.cache_bytes, "its memory on chip, bytes"));
   app.add_option("--frame-ms", budget.frame_ms, "time for passes and network together")
-      ->check(CLI::Range(0.0, 1e6));
+      ->check(number_in(0, 1e6));
   app.add_option(
          "--passes-ms", arguments->passes_ms,
          "time of the passes around the network for a result of 1920x1080, in place of what "
          "they are modelled to take")
-      ->check(CLI::Range(0.0, 1e6))
+      ->check(number_in(0, 1e6))
       ->default_str("");
   app.add_option(
          "--convention", arguments->convention,

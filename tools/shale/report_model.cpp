@@ -272,8 +272,7 @@ void print_modelled(const Json& json, const Budget& budget, bool layers) {
 Result<Json> measured_of(const ReportArguments& arguments, const std::string& name) {
   Json found = Json::array();
   for (const std::string& path : arguments.measured) {
-    SHALE_TRY(const std::string text, read_text(path));
-    const Json json = Json::parse(text, nullptr, false);
+    SHALE_TRY(const Json json, read_json(path));
     if (!json.is_object() || !json.contains("models") || !json["models"].is_array())
       return bad_input(path, "is no result of shale bench --json");
     for (const Json& model : json["models"]) {

@@ -9,8 +9,7 @@ namespace {
 
 /// Times by dispatch name from `shale run --profile-to`.
 Result<std::map<std::string, double>> read_measured(const std::string& path) {
-  SHALE_TRY(const std::string text, read_text(path));
-  const Json json = Json::parse(text, nullptr, false);
+  SHALE_TRY(const Json json, read_json(path));
   const Error error = bad_input(path, "is no profile; shale run --profile-to writes one");
   if (!json.is_object() || !json.contains("dispatches") || !json["dispatches"].is_array())
     return error;

@@ -181,6 +181,8 @@ void fill_random(std::vector<Tensor>& inputs, const std::vector<RandomRange>& ra
 
 Result<int> run(const Arguments& arguments) {
   Outputs files;
+  files.keep({arguments.file, arguments.check_model});
+  files.keep(arguments.compile.files());
   SHALE_TRY_VOID(files.claim("--profile-to", arguments.profile_file));
   SHALE_TRY(const GivenRanges given, parse_ranges(arguments.ranges));
   if (!given.empty() && !arguments.random_seed)

@@ -20,6 +20,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Of a data set, whose sequences have numbers of four digits.
+constexpr uint32_t kMaxSequences = 10000;
+
 struct Arguments {
   std::vector<std::string> scenes, crops;
   std::string needs, output, render = "960x540", size, pattern = "halton";
@@ -98,6 +101,7 @@ Result<void> save_previews(const fs::path& root, uint32_t number, uint32_t index
 /// --needs: looks at the frames of scenes and datasets, and writes what they need.
 Result<int> write_needs(const Arguments& arguments) {
   Outputs outputs;
+  outputs.keep(arguments.scenes);
   SHALE_TRY_VOID(outputs.claim("--needs", arguments.needs));
   SHALE_TRY(const Extent render, extent_of("--render", arguments.render));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
@@ -150,6 +154,11 @@ Result<int> run(const Arguments& arguments) {
   if (arguments.needs.empty() == arguments.output.empty())
     return bad_input("", "expected either -o, a dataset to write, or --needs");
   if (!arguments.needs.empty()) return write_needs(arguments);
+  const size_t sequences = arguments.scenes.size() *
+                           std::max<size_t>(arguments.crops.size() + arguments.random_crops, 1);
+  if (arguments.number + sequences > kMaxSequences)
+    return bad_input("--number", "{} sequences from {} on do not end at {}", sequences,
+                     arguments.number, kMaxSequences - 1);
   SHALE_TRY(const Extent render, extent_of("--render", arguments.render));
   // Readers divide by the ratio and round down.
   const auto larger = [&](uint32_t side) {
@@ -265,8 +274,10 @@ Action add_scene(CLI::App& app) {
   app.add_option("--pattern", arguments->pattern,
                  "where in its pixels a frame is sampled: halton, mnss, or a list of offsets from "
                  "their centres, X,Y:X,Y (default halton)");
-  app.add_option("--frames", arguments->frames, "number of frames (default: all)");
-  app.add_option("--first", arguments->first, "first frame of the scene");
+  app.add_option("--frames", arguments->frames, "number of frames (default: all)")
+      ->check(CLI::Range(1u, kMaxSceneFrames));
+  app.add_option("--first", arguments->first, "first frame of the scene")
+      ->check(CLI::Range(0u, kMaxSceneFrames));
   app.add_option("--frame-rate", arguments->frame_rate,
                  "frames a second; what moves is as fast as at the scene's own rate")
       ->check(number_in(1, 1000));
@@ -274,14 +285,15 @@ Action add_scene(CLI::App& app) {
                  "X,Y,WIDTH,HEIGHT of the output that is the picture (again for more sequences)")
       ->allow_extra_args(false);
   app.add_option("--random-crops", arguments->random_crops,
-                 "draw this many crops and first frames from each scene");
+                 "draw this many crops and first frames from each scene")
+      ->check(CLI::Range(1u, kMaxSequences));
   app.add_option("--crop-size", arguments->crop_size, "side of a random crop, output pixels")
       ->check(CLI::Range(8, 8192));
   app.add_option("--clip-length", arguments->clip_length, "frames of a random crop")
       ->check(CLI::Range(1, 100000));
   app.add_option("--seed", arguments->seed, "for the random crops");
   app.add_option("--number", arguments->number, "of the first sequence (default 0)")
-      ->check(CLI::Range(0, 9999));
+      ->check(CLI::Range(0u, kMaxSequences - 1));
   app.add_flag("--no-truth", arguments->no_truth, "leave out what is at output size");
   app.add_flag("--png", arguments->png, "also write displayable pictures, below preview/");
   app.add_flag("--reverse-depth", arguments->reverse_depth, "depth 1 is near");

@@ -747,7 +747,8 @@ Result<int> stress(const Arguments& arguments) {
            std::find(arguments.only.begin(), arguments.only.end(), group) != arguments.only.end();
   };
   Outputs outputs;
-  outputs.keep(arguments.model);
+  outputs.keep({arguments.model});
+  outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));

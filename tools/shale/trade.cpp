@@ -5,14 +5,19 @@
 // device. Cells lie in the output folder as JSON, so that a run goes on where it was stopped; each is
 // known by the content of all that makes it: program, scene, model, sizes, device.
 #include <algorithm>
+#include <array>
 #include <filesystem>
+#include <map>
+#include <mutex>
 #include <set>
 
 #include "ir/base/file.h"
 #include "ir/base/hash.h"
+#include "ir/base/json.h"
 #include "ir/package/rank.h"
 #include "tools/eval/data_page.h"
 #include "tools/scene/dataset.h"
+#include "tools/scene/model.h"
 #include "tools/scene/scene_source.h"
 #include "tools/shale/cost_page.h"
 #include "tools/shale/evaluate.h"
@@ -41,35 +46,23 @@ struct Arguments {
 
 constexpr const char* kTradeSchema = "shale-trade/2";
 
-uint64_t hash_text(const std::string& text, uint64_t seed) {
-  return stable_hash({reinterpret_cast<const uint8_t*>(text.data()), text.size()}, seed);
-}
-
-/// Of the files of a folder, their names too; folders in it are left out.
-Result<uint64_t> hash_folder(const fs::path& folder, uint64_t seed) {
-  std::set<fs::path> files;
-  std::error_code error;
-  for (const fs::directory_entry& entry : fs::directory_iterator(folder, error))
-    if (entry.is_regular_file()) files.insert(entry.path());
-  if (error) return io_error(folder.string(), "cannot list: {}", error.message());
-  for (const fs::path& file : files) {
-    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(file.string()));
-    seed = stable_hash(bytes, hash_text(file.filename().string(), seed));
-  }
-  return seed;
+template <typename Values>
+uint64_t hash_of(const Values& values, uint64_t seed = kHashSeed) {
+  return stable_hash(
+      {reinterpret_cast<const uint8_t*>(values.data()), values.size() * sizeof(values[0])}, seed);
 }
 
 /// Of the running program: what renders, compiles, runs and measures a cell.
 Result<uint64_t> hash_program() {
   SHALE_TRY(const std::vector<uint8_t> bytes, read_file("/proc/self/exe"));
-  return stable_hash(bytes);
+  return hash_of(bytes);
 }
 
 /// A model in one precision, whole or in one of the forms that leave work out.
 struct Contender {
   std::string path, precision;  ///< precision is empty without a network
   ModelFiles files;
-  uint64_t hash = 0;  ///< of the model, its frame.json and its shaders
+  uint64_t hash = 0;  ///< of the model and its frame.json
   std::optional<uint32_t> tiles = {};
   bool is_specialised = false;  ///< a package for what each scene needs
 
@@ -95,16 +88,9 @@ Result<Contender> contender_of(const std::string& path, const std::string& preci
   SHALE_TRY(contender.files, load_model(path, "", precision));
   if (!contender.files.frame) return bad_input(path, "has no sandwich (frame.json)");
   if (contender.is_baseline()) contender.precision.clear();
-  contender.hash = stable_hash(contender.files.bytes);
-  SHALE_TRY(contender.hash, hash_folder(fs::path(contender.files.frame_folder), contender.hash));
-  std::set<fs::path> folders;
-  for (const std::string& file : graph_files(*contender.files.frame))
-    folders.insert((fs::path(contender.files.frame_folder) / file).parent_path());
-  for (const FramePass* pass : shader_passes(*contender.files.frame))
-    folders.insert((fs::path(contender.files.frame_folder) / pass->shader).parent_path());
-  for (const fs::path& folder : folders) {
-    SHALE_TRY(contender.hash, hash_folder(folder, contender.hash));
-  }
+  SHALE_TRY(const std::vector<uint8_t> frame,
+            read_file((fs::path(contender.files.frame_folder) / "frame.json").string()));
+  contender.hash = hash_of(frame, hash_of(contender.files.bytes));
   return contender;
 }
 
@@ -155,8 +141,17 @@ bool offers(const Contender& contender, const Sizes& sizes) {
 struct SceneFrames {
   Scene scene;
   std::string path;
-  uint64_t hash = 0;  ///< of the scene, and of the program that renders it
+  uint64_t hash = 0;  ///< of the scene, its meshes and the program that renders it
 };
+
+Result<SceneFrames> scene_frames_of(const std::string& path, uint64_t program) {
+  SHALE_TRY(Scene scene, load_scene(path));
+  SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
+  const uint64_t hash = hash_of(bytes, program);
+  SHALE_TRY(const ModelBuffers meshes, model_buffers(scene.models));
+  return SceneFrames{std::move(scene), path,
+                     hash_of(meshes.texels, hash_of(meshes.geometry, hash))};
+}
 
 /// The scene's frames at these sizes, rendered into the folder unless they are there. The truth is the same for every
 /// pattern, so that only the first one's is rendered.
@@ -166,8 +161,7 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
   SourceArguments source;
   source.frames = arguments.frames;
   const std::string sampled = pattern_text(pattern);
-  const uint64_t hash =
-      stable_hash({reinterpret_cast<const uint8_t*>(sampled.data()), sampled.size()}, scene.hash);
+  const uint64_t hash = hash_of(sampled, scene.hash);
   const fs::path folder = fs::path(arguments.folder) / "frames" /
                           fmt::format("{}-{}x{}-{}x{}-{}-{:016x}", scene.scene.name,
                                       sizes.render.width, sizes.render.height, sizes.output.width,
@@ -208,19 +202,20 @@ Result<std::unique_ptr<FrameSource>> frames_of(const Arguments& arguments, const
 
 // Cells.
 
-/// A cell that the folder holds, or what `make` gives, which it holds from then on.
-template <typename Make>
-Result<Json> kept(const Arguments& arguments, const Json& key, const Make& make) {
-  const std::string file = (fs::path(arguments.folder) / "cells" /
-                            fmt::format("{:016x}.json", hash_text(key.dump(), kHashSeed)))
-                               .string();
+/// A cell that the folder holds, if it `is_whole`, or what `make` gives, which it holds from then on.
+template <typename IsWhole, typename Make>
+Result<Json> kept(const Arguments& arguments, const Json& key, const IsWhole& is_whole,
+                  const Make& make) {
+  const std::string file =
+      (fs::path(arguments.folder) / "cells" / fmt::format("{:016x}.json", hash_of(key.dump())))
+          .string();
   std::error_code ignored;
   if (!arguments.fresh && fs::exists(file, ignored)) {
     SHALE_TRY(const std::string text, read_text(file));
-    const Json held = Json::parse(text, nullptr, false);
-    if (held.is_object() && held.value("key", Json()) == key &&
-        held.value("result", Json()).is_object())
-      return held["result"];
+    const Result<Json> held = parse_json<Json>(text);
+    if (held && held->is_object() && held->value("key", Json()) == key &&
+        is_whole(held->value("result", Json())))
+      return (*held)["result"];
   }
   SHALE_TRY(Json cell, make());
   SHALE_TRY_VOID(write_text(file, json_text({{"key", key}, {"result", cell}})));
@@ -233,7 +228,8 @@ Result<SceneNeeds> needs_of(const Arguments& arguments, const SceneFrames& scene
   const Json key{{"needs_of", scene.hash},
                  {"render", {sizes.render.width, sizes.render.height}},
                  {"frames", arguments.frames}};
-  SHALE_TRY(const Json cell, kept(arguments, key, [&]() -> Result<Json> {
+  const auto is_whole = [](const Json& held) { return parse_needs(held.dump()).has_value(); };
+  SHALE_TRY(const Json cell, kept(arguments, key, is_whole, [&]() -> Result<Json> {
               NeedsMeter meter;
               for (uint32_t i = 0; i < source.frame_count(); ++i) {
                 SHALE_TRY(const SourceFrame frame, source.frame(i, false));
@@ -245,20 +241,40 @@ Result<SceneNeeds> needs_of(const Arguments& arguments, const SceneFrames& scene
   return parse_needs(cell.dump());
 }
 
+struct Costs {
+  Json modelled;
+  uint64_t hash = 0;  ///< of all files that make the contender
+};
+
 /// What the method would take on the modelled device, for results of `at` at the same scale.
-Result<Json> modelled(const Contender& contender, const std::string& needs, const Sizes& at,
-                      const ModelledDevice& device) {
+Result<Costs> costs_of(const Contender& contender, const std::string& needs, const Sizes& at,
+                       const ModelledDevice& device) {
   SHALE_TRY(CompileOptions options, contender.compile(nullptr, needs).options(contender.files));
   options.sizes = {at.render, at.output};
+  std::map<std::string, uint64_t> loaded;
+  std::mutex mutex;
+  const auto noted = [&](const auto& load) {
+    return [&, load](const std::string& path) {
+      auto file = load(path);
+      const std::lock_guard lock(mutex);
+      if (file) loaded[path] = hash_of(*file);
+      return file;
+    };
+  };
+  options.load_shader = noted(options.load_shader);
+  options.load_model = noted(options.load_model);
   SHALE_TRY(const FrameCost cost, FrameCost::create(contender.files, options));
+  uint64_t hash = contender.hash;
+  for (const auto& [path, content] : loaded) hash = hash_of(path, hash ^ content);
   SHALE_TRY(const FrameCost::Modelled modelled, cost.at(options.sizes, device));
   const bool network = modelled.network.has_value();
-  return Json{{"gop", network ? 2e-9 * static_cast<double>(modelled.network->macs) : 0.0},
-              {"network_ms", 1e-3 * modelled.frame.network_us},
-              {"energy_mj", network ? 1e-3 * modelled.network->energy_uj : 0.0},
-              {"passes_ms", 1e-3 * modelled.frame.passes_us},
-              {"passes", passes_json(modelled.frame)},
-              {"total_ms", 1e-3 * modelled.frame.total_us()}};
+  Json json{{"gop", network ? 2e-9 * static_cast<double>(modelled.network->macs) : 0.0},
+            {"network_ms", 1e-3 * modelled.frame.network_us},
+            {"energy_mj", network ? 1e-3 * modelled.network->energy_uj : 0.0},
+            {"passes_ms", 1e-3 * modelled.frame.passes_us},
+            {"passes", passes_json(modelled.frame)},
+            {"total_ms", 1e-3 * modelled.frame.total_us()}};
+  return Costs{std::move(json), hash};
 }
 
 /// Of the modelled times what a share of frames takes that ran here, by their predicted time: of the network, and of the
@@ -297,6 +313,15 @@ Result<Json> measure(FrameSource& source, std::vector<PlayedMethod>& method) {
     if (frame.time_ms) times.push_back(*frame.time_ms);
   put("measured_ms", times.empty() ? std::nullopt : std::optional(median(times)));
   return json;
+}
+
+/// What `measure` gives: figures, or null where there is none.
+bool is_measurement(const Json& json) {
+  const std::array keys{"frames", "share_run", "psnr_db", "ssim", "flip", "if_ssim", "measured_ms"};
+  return json.is_object() && json.size() == keys.size() &&
+         std::ranges::all_of(keys, [&](const char* key) {
+           return json.contains(key) && (json[key].is_number() || json[key].is_null());
+         });
 }
 
 // The trade.
@@ -478,9 +503,7 @@ Result<int> trade(const Arguments& arguments) {
   SHALE_TRY(const uint64_t program, hash_program());
   std::vector<SceneFrames> scenes;
   for (const std::string& path : arguments.scenes) {
-    SHALE_TRY(Scene scene, load_scene(path));
-    SHALE_TRY(const std::vector<uint8_t> bytes, read_file(path));
-    scenes.push_back({std::move(scene), path, stable_hash(bytes, program)});
+    SHALE_TRY(scenes.emplace_back(), scene_frames_of(path, program));
   }
   const fs::path folder(arguments.folder), cells = folder / "cells";
   const std::string text_file = (folder / "trade.json").string(),
@@ -489,6 +512,7 @@ Result<int> trade(const Arguments& arguments) {
   fs::create_directories(cells, error);
   if (error) return io_error(cells.string(), "cannot create: {}", error.message());
   Outputs outputs;
+  outputs.keep(arguments.scenes);
   SHALE_TRY_VOID(outputs.claim("the figures", text_file));
   SHALE_TRY_VOID(outputs.claim("the page", page_file));
 
@@ -524,31 +548,32 @@ Result<int> trade(const Arguments& arguments) {
         words[s] = in_words(needs[s]);
         json["scenes"][s]["needs"] = Json::parse(needs_text(needs[s]));
       }
-      needs_files[s] = (cells / fmt::format("{}-{}x{}.needs", scenes[s].scene.name,
-                                            sizes.render.width, sizes.render.height))
-                           .string();
+      needs_files[s] =
+          (cells / fmt::format("{}-{:016x}-{}x{}.needs", scenes[s].scene.name, scenes[s].hash,
+                               sizes.render.width, sizes.render.height))
+              .string();
       SHALE_TRY_VOID(write_text(needs_files[s], needs_text(needs[s])));
     }
     for (const Contender& contender : contenders) {
       if (!offers(contender, sizes)) continue;
-      std::optional<Json> model;         // where it is the same for all scenes
+      std::optional<Costs> costs;        // where they are the same for all scenes
       std::vector<PlayedMethod> method;  // made for the first scene that is not there yet
       for (size_t s = 0; s < scenes.size(); ++s) {
         if (!progress.step(done++, all)) return bad_input("", "interrupted; run again to go on");
         if (contender.is_specialised) {
           if (kept_promises(*contender.files.frame, needs[s], sizes.render).empty()) continue;
           method.clear();
-          model.reset();
+          costs.reset();
         }
-        if (!model) {
-          Result<Json> costs =
-              modelled(contender, needs_files[s], sizes_of(model_at, scale), *device);
-          if (!costs) return in_file(contender.files.path, costs.error());
-          model = *std::move(costs);
+        if (!costs) {
+          Result<Costs> found =
+              costs_of(contender, needs_files[s], sizes_of(model_at, scale), *device);
+          if (!found) return in_file(contender.files.path, found.error());
+          costs = *std::move(found);
         }
         Json key{{"program", program},
                  {"scene", scenes[s].hash},
-                 {"model", contender.hash},
+                 {"model", costs->hash},
                  {"render", {sizes.render.width, sizes.render.height}},
                  {"output", {output.width, output.height}},
                  {"frames", arguments.frames},
@@ -556,7 +581,7 @@ Result<int> trade(const Arguments& arguments) {
                  {"driver", tool.context().caps.driver}};
         if (contender.tiles) key["tiles"] = *contender.tiles;
         if (contender.is_specialised) key["needs"] = needs_text(needs[s]);
-        Result<Json> cell = kept(arguments, key, [&]() -> Result<Json> {
+        Result<Json> cell = kept(arguments, key, is_measurement, [&]() -> Result<Json> {
           SHALE_TRY(const std::unique_ptr<FrameSource> source,
                     frames_of(arguments, tool, scenes[s], sizes, contender.files.frame->pattern));
           if (method.empty()) {
@@ -590,7 +615,7 @@ Result<int> trade(const Arguments& arguments) {
                  {"baseline", contender.is_baseline()},
                  {"scale", scale}};
         row.update(*cell);
-        row["modelled"] = *model;
+        row["modelled"] = costs->modelled;
         if (contender.tiles) take_share(row, contender);
         json["scenes"][s]["methods"].push_back(std::move(row));
       }
@@ -639,7 +664,7 @@ Action add_trade(CLI::App& app) {
   app.add_option("--scales", arguments->scales,
                  "ratios of the result's to the rendered frame's sides")
       ->delimiter(',')
-      ->check(CLI::Range(1.0, 16.0));
+      ->check(number_in(1, 16));
   app.add_option("--output-size", arguments->output, "size of the results that are judged");
   app.add_option("--model-at", arguments->model_at,
                  "size of the results that times are modelled for (default: --output-size)");
@@ -647,11 +672,11 @@ Action add_trade(CLI::App& app) {
   app.add_option("--frames", arguments->frames, "frames of each scene")
       ->check(CLI::Range(2, 10000));
   app.add_option("--frame-ms", arguments->frame_ms, "budget of passes and network together")
-      ->check(CLI::Range(0.0, 1e6));
+      ->check(number_in(0, 1e6));
   app.add_option("--slack-db", arguments->slacks_db,
                  "the cheapest method so close to the best one's PSNR is enough; several distances")
       ->delimiter(',')
-      ->check(CLI::Range(0.0, 100.0));
+      ->check(number_in(0, 100));
   app.add_option("--tiles", arguments->tiles,
                  "also the networks by tiles, for each of these tolerances (compile --tiles)")
       ->delimiter(',')

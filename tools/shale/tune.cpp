@@ -52,6 +52,8 @@ Result<Layers> measure(const Arguments& arguments, const ToolDevice& device,
 
 Result<int> run(const Arguments& arguments) {
   Outputs outputs;
+  outputs.keep({arguments.model});
+  outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(ModelFiles model,
             load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));

@@ -224,9 +224,9 @@ TEST(FrameJson, NamesTheFieldThatIsWrong) {
     EXPECT_NE(error.find(row.message), std::string::npos)
         << "expected: " << row.message << "\nfound:    " << error;
   }
-  EXPECT_EQ(error_text(parse_frame("")), "is not valid JSON");
-  EXPECT_EQ(error_text(parse_frame("[]")), "is not valid JSON");
-  EXPECT_EQ(error_text(parse_frame(std::string(kFrame, 300))), "is not valid JSON");
+  EXPECT_EQ(error_text(parse_frame("")), "is not valid JSON at byte 1");
+  EXPECT_EQ(error_text(parse_frame("[]")), "is no JSON object");
+  EXPECT_EQ(error_text(parse_frame(std::string(kFrame, 300))), "is not valid JSON at byte 301");
 }
 
 TEST(FrameJson, SurvivesEveryCut) {

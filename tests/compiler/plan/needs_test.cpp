@@ -41,7 +41,13 @@ TEST(Needs, NothingMovesWhereNeitherCameraNorObjectsDo) {
 }
 
 TEST(Needs, BadFilesAreRefusedByField) {
-  EXPECT_EQ(error_text(parse_needs("[")), "is not valid JSON");
+  EXPECT_EQ(error_text(parse_needs("[")), "is not valid JSON at byte 2");
+  EXPECT_EQ(error_text(parse_needs("{\"a\": 1e999}")),
+            "is not valid JSON, a number is out of range");
+  // A value so deep would end the stack where it is copied.
+  EXPECT_EQ(error_text(parse_needs("{\"schema\":" + std::string(200000, '[') +
+                                   std::string(200000, ']') + "}")),
+            "is nested deeper than 64 levels");
   EXPECT_EQ(error_text(parse_needs("{\"schema\": \"shale-needs/9\"}")),
             "needs: schema \"shale-needs/9\" is unknown, expected \"shale-needs/1\"");
   EXPECT_EQ(error_text(parse_needs("{}")),
