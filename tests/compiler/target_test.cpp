@@ -152,7 +152,8 @@ TEST(Target, BadCapsAreRefused) {
     text.replace(at, std::string(change.from).size(), change.to);
     EXPECT_EQ(error_text(parse_caps(text)), change.error);
   }
-  for (const char* text : {"", "[]", "7", "{\"devices\": [7]}", "{\"devices\": 7}"})
+  EXPECT_EQ(error_text(parse_caps("")), "is not valid JSON at byte 1");
+  for (const char* text : {"[]", "7", "{\"devices\": [7]}", "{\"devices\": 7}"})
     EXPECT_EQ(error_text(parse_caps(text)),
               "is no description of a device, expected schema shale-caps/1");
   EXPECT_EQ(error_text(parse_caps("{\"devices\": []}")), "devices: there is none");
