@@ -12,13 +12,13 @@ namespace fs = std::filesystem;
 
 namespace {
 
-/// Whether a file of an input's folder is a part of it, and not the result of an earlier command.
+/// Whether a file of an input's folder is a part of a model or a data set, and not the result of an earlier command.
 bool is_part(const fs::path& file) {
   const std::string suffix = file.extension().string(), stem = file.stem().string();
   if (suffix == ".json")
     return stem == "frame" || stem == "quantization" ||
            stem.find_first_not_of("0123456789") == std::string::npos;
-  return suffix != ".html" && suffix != ".csv";
+  return suffix == ".tosa" || suffix == ".npz" || suffix == ".glsl" || suffix == ".exr";
 }
 
 }  // namespace

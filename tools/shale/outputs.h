@@ -15,7 +15,7 @@ namespace shale {
 /// results of one command never share a file.
 class Outputs {
  public:
-  /// Inputs that no result may replace; of a folder, the files that make a model, a data set or pictures.
+  /// Inputs that no result may replace; of a folder, the files that make a model or a data set.
   void keep(const std::vector<std::string>& paths);
   /// `what` is the option or the result that goes to `path`; an empty path is none.
   /// Errors: as write_file; kBadInput if another result or an input has the file.
