@@ -358,12 +358,4 @@ std::vector<std::string> graph_files(const Frame& frame) {
   return files;
 }
 
-std::vector<const FramePass*> shader_passes(const Frame& frame) {
-  std::vector<const FramePass*> passes;
-  for (const FrameProgram& program : frame.programs)
-    for (const FramePass& pass : program.passes)
-      if (pass.graph.empty()) passes.push_back(&pass);
-  return passes;
-}
-
 }  // namespace shale

@@ -143,9 +143,6 @@ struct Frame {
 /// The model files of a frame's graphs, each once, in the order of the passes.
 std::vector<std::string> graph_files(const Frame& frame);
 
-/// The passes of shaders of all programs, in order.
-std::vector<const FramePass*> shader_passes(const Frame& frame);
-
 /// Reads untrusted JSON of schema "shale-frame/2"; the form is in compiler/driver/README.md.
 /// Errors: kBadInput naming the field.
 Result<Frame> parse_frame(const std::string& json);

@@ -93,6 +93,10 @@ class GltfReader {
     return true;
   }
 
+  static const std::string& label(const tinygltf::Image& image) {
+    return image.uri.empty() ? image.name : image.uri;
+  }
+
   /// An image as a file holds it.
   Result<std::vector<uint8_t>> image_bytes(const tinygltf::Image& image) const {
     if (image.bufferView < 0) return image.image;
@@ -100,7 +104,7 @@ class GltfReader {
     SHALE_TRY(const auto* buffer, item(file_.buffers, view->buffer, "buffer"));
     const size_t begin = view->byteOffset, size = view->byteLength;
     if (begin > buffer->data.size() || size > buffer->data.size() - begin)
-      return bad_input(where_, "image \"{}\" ends behind its buffer of {} bytes", image.name,
+      return bad_input(where_, "image \"{}\" ends behind its buffer of {} bytes", label(image),
                        buffer->data.size());
     const auto first = buffer->data.begin() + static_cast<ptrdiff_t>(begin);
     return std::vector<uint8_t>(first, first + static_cast<ptrdiff_t>(size));
@@ -125,7 +129,7 @@ class GltfReader {
     for (const tinygltf::Image& image : file_.images) {
       SHALE_TRY(const std::vector<uint8_t> bytes, image_bytes(image));
       SHALE_TRY(MeshTexture texture,
-                decode_texture(bytes, fmt::format("{}: image \"{}\"", where_, image.uri)));
+                decode_texture(bytes, fmt::format("{}: image \"{}\"", where_, label(image))));
       SHALE_TRY_VOID(add_texture(std::move(texture)));
     }
     for (const tinygltf::Material& from : file_.materials) {

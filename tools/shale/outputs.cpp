@@ -18,7 +18,7 @@ bool is_part(const fs::path& file) {
   if (suffix == ".json")
     return stem == "frame" || stem == "quantization" ||
            stem.find_first_not_of("0123456789") == std::string::npos;
-  return suffix == ".tosa" || suffix == ".npz" || suffix == ".glsl" || suffix == ".exr";
+  return suffix == ".tosa" || suffix == ".npz" || suffix == ".exr";
 }
 
 }  // namespace
