@@ -50,6 +50,9 @@ LiteralConv::LiteralConv(const GroupProblem& problem, const DeviceProfile& profi
         std::all_of(leaves.begin(), leaves.end(), [&](int64_t c) { return c % lanes == 0; }))
       lanes_ = lanes;
   }
+  split_words_ = lanes_ == 1 && element_bytes_ == 1 && leaves.size() == 1 && leaves[0] > 1 &&
+                 element_count(leaf().type.shape).value_or(1) % 4 == 0;
+  if (split_words_) lanes_ = 4;
 }
 
 bool LiteralConv::supports(const GroupProblem& problem, const DeviceProfile& profile,
@@ -131,6 +134,12 @@ std::vector<int64_t> LiteralConv::leaf_channels(ValueId id) const {
   return leaves;
 }
 
+const Value& LiteralConv::leaf() const {
+  ValueId id = node_.inputs[0];
+  while (const Node* view = folded(id)) id = view->inputs[0];
+  return graph_.value(id);
+}
+
 std::string LiteralConv::fetch(ValueId id, int64_t c, const std::string& y, const std::string& x,
                                int64_t outside) {
   const std::string name = fmt::format("fetch{}_{}", id.index, c);
@@ -163,9 +172,10 @@ std::string LiteralConv::inside(ValueId id, int64_t c) {
                                : lanes_ * element_bytes_ == 4 ? ImageFormat::kR32Uint
                                : element_bytes_ == 2          ? ImageFormat::kR16Uint
                                                               : ImageFormat::kR8Sint;
+    const size_t binding = codegen_.bind(id, BindingType::kUniformTexelBuffer, format, false);
+    if (split_words_) return split_word(binding, shape, c);
     const std::string texel =
-        fmt::format("texelFetch(t{}, ((n * {} + y) * {} + x) * {} + {})",
-                    codegen_.bind(id, BindingType::kUniformTexelBuffer, format, false), shape[1],
+        fmt::format("texelFetch(t{}, ((n * {} + y) * {} + x) * {} + {})", binding, shape[1],
                     shape[2], shape[3] / lanes_, c / lanes_);
     if (format == ImageFormat::kR8Sint) return fmt::format("uint({}.x + 128)", texel);
     return fmt::format("{}{}{}", texel, is_wide() ? "" : ".x",
@@ -193,6 +203,24 @@ std::string LiteralConv::inside(ValueId id, int64_t c) {
                        Codegen::literal(offset[axis]), from[axis + 1]);
   };
   return fetch(view->inputs[0], c, source("y", 0), source("x", 1), -128);
+}
+
+std::string LiteralConv::split_word(size_t binding, const Shape& shape, int64_t c) {
+  if (functions_.emplace("joined").second)
+    codegen_.add_function(
+        "uint joined(uint low, uint high, int first) {\n  int shift = (first & 3) * 8;\n"
+        "  return ((low >> shift) | ((high << 1) << (31 - shift))) ^ 0x80808080u;\n}\n\n");
+  const std::string first =
+      fmt::format("((n * {} + y) * {} + x) * {}", shape[1], shape[2], shape[3]);
+  const auto word = [&](int64_t next) {
+    const std::string at = fmt::format("({} >> 2) + {}", first, c / 4 + next);
+    // The last bytes of a texel may all lie in its last word, which may be the tensor's.
+    const bool is_beyond = next == 1 && c + 4 >= shape[3];
+    return fmt::format(
+        "texelFetch(t{}, {}).x", binding,
+        is_beyond ? fmt::format("min({}, {})", at, element_count(shape).value_or(0) / 4 - 1) : at);
+  };
+  return fmt::format("joined({}, {}, {})", word(0), word(1), first);
 }
 
 std::string LiteralConv::byte(size_t index, int64_t c, int shift) const {
@@ -393,7 +421,8 @@ double LiteralConv::fetches(const Tiling& tiling, std::array<int64_t, 2> channel
       static_cast<double>(row_parts(tiling)) / static_cast<double>(tiles(tiling)[0]);
   double count = 0;
   for (size_t i = 0; i < tiling.texels.size(); ++i) count += tiling.below(i) ? starts : 1.0;
-  return count * static_cast<double>(ceil_div(channels[1], lanes_) - channels[0] / lanes_);
+  const int64_t words = ceil_div(channels[1], lanes_) - channels[0] / lanes_;
+  return count * static_cast<double>(split_words_ ? 2 * words : words);
 }
 
 std::string LiteralConv::over_rows(const Tiling& tiling, const std::string& body,

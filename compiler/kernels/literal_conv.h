@@ -68,7 +68,8 @@ class LiteralConv {
   const Node* folded(ValueId id) const;
 
   /// Channels of a fetch: those of 16 bytes (uvec4), of 4 or a single one (uint), the most that every
-  /// fetched tensor allows.
+  /// fetched tensor allows. A tensor of int8 whose texels begin within words is fetched in words, too, two for each
+  /// four channels.
   int64_t lanes() const { return lanes_; }
   const char* texel_type() const { return is_wide() ? "uvec4" : "uint"; }
   /// Expression of `lanes()` channels from `c` on of value `id` at row y, column x of image n, int8 as
@@ -148,6 +149,10 @@ class LiteralConv {
   /// Channels of the result that are stored together: whole words, wide ones where `first` and `last` allow.
   int64_t stored_together(int64_t first, int64_t last) const;
   std::vector<int64_t> leaf_channels(ValueId id) const;
+  /// The tensor that is fetched, where it is one.
+  const Value& leaf() const;
+  /// Channels [c, c + 4) of a texel that may begin within a word.
+  std::string split_word(size_t binding, const Shape& shape, int64_t c);
   std::string inside(ValueId id, int64_t c);
 
   const GroupProblem& problem_;
@@ -159,6 +164,7 @@ class LiteralConv {
   std::vector<std::optional<NodeId>> producers_;
   Codegen codegen_;
   int64_t element_bytes_, lanes_ = 1;
+  bool split_words_ = false;
   std::set<std::string> functions_;
 };
 

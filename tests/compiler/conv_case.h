@@ -53,6 +53,16 @@ struct ConvCase {
     return is_float(of) ? real_bits(of, static_cast<float>(number) / 64) : number;
   }
 
+  /// Elements of the graph input, where it is one.
+  int64_t input_elements() const {
+    switch (source) {
+      case Source::kPad: return n * (h - 3) * (w - 1) * ic;
+      case Source::kResize:
+      case Source::kUpsample: return n * (h / 2) * (w / 3) * ic;
+      default: return n * h * w * ic;
+    }
+  }
+
   friend void PrintTo(const ConvCase& c, std::ostream* out) { *out << c.name; }
 
   Graph graph() const {
@@ -343,6 +353,34 @@ inline std::vector<ConvCase> edge_conv_cases() {
                    .epilogue = Epilogue::kTable,
                    .weight_min = -30,
                    .weight_max = 30});
+  // Texels that begin within words, of tensors of whole words: also the last bytes of the last word, and not.
+  for (const int64_t ic : {2, 3, 5, 6, 7, 22})
+    cases.push_back({.name = "within_words_ic" + std::to_string(ic),
+                     .n = 2,
+                     .w = 8,
+                     .ic = ic,
+                     .input_zp = -128});
+  cases.push_back({.name = "within_words_padded",
+                   .h = 8,
+                   .w = 9,
+                   .ic = 6,
+                   .input_zp = 30,
+                   .source = Source::kPad});
+  cases.push_back({.name = "within_words_upsampled",
+                   .h = 8,
+                   .w = 12,
+                   .ic = 3,
+                   .input_zp = 2,
+                   .source = Source::kUpsample});
+  cases.push_back(
+      {.name = "within_words_resized", .h = 8, .w = 6, .ic = 5, .source = Source::kResize});
+  cases.push_back({.name = "within_words_looped_rows",
+                   .h = 197,
+                   .w = 12,
+                   .ic = 7,
+                   .oc = 17,
+                   .input_zp = 5,
+                   .epilogue = Epilogue::kTable});
   // Winograd's sums of two tiles fit a double in parts of the channels, or not even so.
   cases.push_back({.name = "winograd_in_parts", .ic = 64, .oc = 1});
   cases.push_back({.name = "winograd_in_two_parts", .ic = 24, .oc = 21, .input_zp = -128});

@@ -150,12 +150,15 @@ bool takes(const std::string& kernel, const ConvCase& row) {
   if (row.name == "beyond_pair" || row.name == "beyond_winograd")
     return kernel == "conv2d_s8_f32exact";
   if (kernel.starts_with("conv2d_s8_phase")) return row.source == Source::kUpsample && is_plain;
-  if (kernel.starts_with("conv2d_s8_winograd"))
-    return is_plain && row.kh == 3 && row.kw == 3 &&
-           row.ic % (row.source == Source::kConcat || row.source == Source::kPadOfConcatOfResize
-                         ? 8
-                         : 4) ==
-               0;
+  if (kernel.starts_with("conv2d_s8_winograd")) {
+    // Texels in whole words, or that begin within words of a tensor of whole words.
+    const bool is_joined =
+        row.source == Source::kConcat || row.source == Source::kPadOfConcatOfResize;
+    const bool in_words = is_joined
+                              ? row.ic % 8 == 0
+                              : row.ic % 4 == 0 || (row.ic > 1 && row.input_elements() % 4 == 0);
+    return is_plain && row.kh == 3 && row.kw == 3 && in_words;
+  }
   return true;
 }
 

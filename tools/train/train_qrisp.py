@@ -33,7 +33,7 @@ import training
 CALIBRATION_SEQUENCES = 8
 #: What a resumed run has to be asked for again.
 RECIPE = ("size", "scale", "steps", "batch", "crop", "frames", "chunk", "seed", "lr", "qat", "dilation", "blending",
-          "jitter", "sets", "half", "minutes")
+          "jitter", "sets", "half", "minutes", "hold")
 
 
 class Rollout:
@@ -115,6 +115,8 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         if qrisp.describe(first) != qrisp.describe(model):
             raise ValueError(f"{options.init}: is {qrisp.describe(first)}, the run asks {qrisp.describe(model)}")
         model.load_state_dict(first.state_dict())
+        with torch.no_grad():
+            model.convs["alpha"].bias -= options.hold
         record["earlier"] = training.earlier_records(earlier)
     if options.qat and not options.resume:
         calibrate(model, clips, options)
@@ -138,11 +140,16 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-blending", dest="blending", action="store_false", help="the candidate is shown")
     parser.add_argument("--no-jitter", dest="jitter", action="store_false", help="one weight set for all offsets")
     parser.add_argument("--init", type=Path, help="checkpoint or weights of the same network to start from")
+    parser.add_argument("--hold", type=float, default=0.0,
+                        help="begin with alpha lower by this much before its sigmoid, so that the history counts for more; "
+                        "needs --init (default: 0)")
     training.add_recurrent_options(parser, steps=1000, batch=4, crop=48, frames=12, chunk=4)
     training.add_half(parser)
     options = parser.parse_args(arguments)
     training.check_recurrent(options)
-    training.check_limits(options, {"sets": (0, 64)})
+    training.check_limits(options, {"sets": (0, 64), "hold": (-8, 8)})
+    if options.hold and not (options.init or options.resume):
+        raise ValueError("--hold needs --init")
     if options.crop % 8:
         raise ValueError(f"--crop must be a multiple of 8, found {options.crop}")
     return options
