@@ -354,8 +354,12 @@ Result<Graph> operator_graph(const Operator& c) {
   std::string weights;
   if (c.weights > 0) {
     std::mt19937_64 generator(1);
-    std::vector<int64_t> values(static_cast<size_t>(c.weights));
-    for (int64_t& value : values) value = static_cast<int64_t>(generator() % 255) - 127;
+    // Integers repeat, which is less code for literals of them; real numbers do not.
+    const bool is_real = c.shape[0] == 'f';
+    std::vector<double> values(static_cast<size_t>(c.weights));
+    for (double& value : values)
+      value = is_real ? static_cast<double>(generator() % 65536) / 32768 - 1
+                      : static_cast<double>(generator() % 255) - 127;
     weights = fmt::format("const %w : {} = [{}] ", c.shape, fmt::join(values, ","));
   }
   return parse_text(fmt::format("graph main {{ {}{} return %y }}", weights, c.text));

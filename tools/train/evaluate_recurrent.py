@@ -34,7 +34,8 @@ class Qrisp:
 
     def __init__(self, model: qrisp.Qrisp, record: dict):
         self.model, self.offsets = model, qrisp.jitter_sequence(record.get("sets", 0))
-        self.options = qrisp_passes.Options(record.get("dilation", True), record.get("blending", True))
+        self.options = qrisp_passes.Options(record.get("dilation", True), record.get("blending", True),
+                                            record.get("cubic", False))
         self.state: qrisp_passes.State | None = None
 
     def __call__(self, frame, cut: bool) -> torch.Tensor:

@@ -65,13 +65,16 @@ def frame_description(model: mnss.Mnss, sharpen: bool = False, shaders: str = SH
         shader("weight", "color", ["difference"], ["weight"], defines=numbers["weight"]),
         shader("insert", "color", ["color", "motion", "weight", history], ["input"], defines=numbers["insert"]),
         {"graph": "model.tosa"},
-        shader("show", "output", [mnss.OUTPUT], ["history"]),
+        shader("show", "output", ["input", mnss.OUTPUT], ["history"]),
     ]
     shows = {"shows": "history"}
     if sharpen:
         passes.append(shader("sharpen", "output", ["history"], ["output"], defines={"BETA": BETA}))
         shows = {}
-    codes = {"scale": mnss.CODES[0], "zero_point": mnss.CODES[1]}
+
+    def codes(scale: precisions.Scale) -> dict:
+        return {"scale": scale[0], "zero_point": scale[1]}
+
     return {
         "schema": "shale-frame/2",
         "render": [1920 // (2 * scale), 1080 // (2 * scale)],
@@ -97,11 +100,12 @@ def frame_description(model: mnss.Mnss, sharpen: bool = False, shaders: str = SH
             image("difference", "internal", "r32_uint", "render"),
             image("weight", "internal", "r32_float", "render"),
         ],
-        "tensors": [{"name": "input", **codes, "size": "output"}, {"name": mnss.OUTPUT, **codes}],
+        "tensors": [{"name": "input", **codes(mnss.CODES), "size": "output"},
+                    {"name": mnss.OUTPUT, **codes(mnss.CORRECTION)}],
         "passes": passes,
         "views": [
             {"title": "history with samples", "of": "input", "first": 0, "channels": 3},
-            {"title": "result", "of": mnss.OUTPUT, "first": 0, "channels": 3},
+            {"title": "correction", "of": mnss.OUTPUT, "first": 0, "channels": 3, "low": -0.1, "high": 0.1},
             {"title": "share of the frame", "of": "weight"},
             {"title": "motion", "of": "motion", "channels": 2, "low": -0.02, "high": 0.02},
             {"title": "depth", "of": "depth", "low": 1, "high": 0.9},

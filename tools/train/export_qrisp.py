@@ -45,8 +45,8 @@ def set_file(precision: str, index: int) -> str:
     return name if index == 0 else "sets/" + name.replace("model", f"{index:02}")
 
 
-def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SHADERS) -> dict:
-    """frame.json of a network with a weight set for each offset."""
+def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SHADERS, cubic: bool = False) -> dict:
+    """frame.json of a network with a weight set for each offset; cubic: as in qrisp_passes.Options."""
 
     def image(name: str, role: str, form: str, size, **more) -> dict:
         return {"name": name, "role": role, "format": form, "size": size, **more}
@@ -92,7 +92,7 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
         "passes": [
             shader("dilate", "moved", ["depth", "motion"], ["moved"]),
             shader("pre", {"of": "render", "divide": [2, 1], "multiple": 2}, ["color", "depth", "moved", *past],
-                   ["input", "warped"], workgroup=[32, 4],
+                   ["input", "warped"], workgroup=[32, 4], **({"defines": {"CUBIC": 1}} if cubic else {}),
                    bounds={"input": [*[[0, 1]] * 6, *["history"] * 3 * scale**2, *["features"] * scale**2]}),
             {"graph": files if len(files) > 1 else files[0]},
             shader("post", "output", [*qrisp.HEADS, "warped", "color"], ["history", "features", "output"], workgroup=[32, 4],
@@ -136,7 +136,7 @@ def export(weights: Path, out: Path, count: int, shaders: str = SHADERS, real: P
         for name, value in network.run(codes, index).items():
             results[name].append(value.numpy())
     write_atomically(out / "quantization.json", precisions.quantization_json(qrisp.tensor_scales(model)))
-    text = json.dumps(frame_description(model.scale, offsets, shaders), indent=1)
+    text = json.dumps(frame_description(model.scale, offsets, shaders, record.get("cubic", False)), indent=1)
     write_atomically(out / "frame.json", (text + "\n").encode())
     np.save(out / "golden" / "input.npy", codes.numpy())
     for name, values in results.items():

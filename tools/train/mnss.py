@@ -2,11 +2,13 @@
 
 Three networks, of which two are so small that the passes around the third compute them in float32:
 inpaint, conv 3x3 4->1, sigmoid, at render size (37 parameters); aa, conv 1x1 6->3, ReLU, at render size (21); and
-the reconstruction rec1 to rec4, conv 3x3 3->16->32->32->3, each with ReLU, at output size (15,203), which is the graph.
-Quantization of the graph: input and output scale 1/255, zero point -128, the codes of an 8-bit picture; weights
-symmetric per output channel, [-127, 127]; ReLU results zero point -128 with one range per tensor.
+the reconstruction rec1 to rec4, conv 3x3 3->16->32->32->3, ReLU between them, at output size (15,203), which is the graph.
+Its result corrects the picture that went in: shown = clamp(input + correction).
+Quantization of the graph: input scale 1/255, zero point -128, the codes of an 8-bit picture; output scale 1/255, zero point
+0; weights symmetric per output channel, [-127, 127]; ReLU results zero point -128 with one range per tensor.
 Source: MNSS (TVCG 2023). Its figure alone tells the channels of the reconstruction; these are those of the reading
-closest to its text. A form of the inpainting net with one weight a pixel, and ranges from calibration: ours.
+closest to its text. A form of the inpainting net with one weight a pixel, ranges from calibration, and the correction, with
+which the roundings of three tensors of 8 bits weigh on what is changed and not on the whole picture: ours.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from tosa_writer import GraphWriter
 SCALES = (2, 3)
 #: Stored size of the .tosa files, (rows, columns): any other follows the frame.
 STORED = (64, 64)
-#: Scale and zero point of the graph's input and output: 8-bit colour.
+#: Scale and zero point of the graph's input, 8-bit colour, and of its output, in the same steps.
 CODES: precisions.Scale = (1.0 / 255.0, -128)
+CORRECTION: precisions.Scale = (1.0 / 255.0, 0)
 #: Share of a tensor's values that its range covers.
 COVERED = 0.9999
 #: Start of the inpainting net: the weight of the current frame without any difference, and what differences add.
@@ -47,7 +50,7 @@ class Conv:
 INPAINT = Conv("inpaint", 3, 4, 1)
 AA = Conv("aa", 1, 6, 3)
 RECONSTRUCTION = (Conv("rec1", 3, 3, 16), Conv("rec2", 3, 16, 32), Conv("rec3", 3, 32, 32), Conv("rec4", 3, 32, 3))
-OUTPUT = "reconstructed"
+OUTPUT = "correction"
 
 
 def parameters(convs: tuple[Conv, ...] = RECONSTRUCTION) -> int:
@@ -95,20 +98,19 @@ class Mnss(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Reconstruction: `[n, 3, H, W]` in 0..1 to the same."""
         if self.ranges:
-            x = torch.fake_quantize_per_tensor_affine(x, CODES[0], CODES[1], -128, 127)
+            x = torch.fake_quantize_per_tensor_affine(x, *CODES, -128, 127)
+        picture = x
         for conv in RECONSTRUCTION:
             layer = self.convs[conv.name]
             last = conv is RECONSTRUCTION[-1]
             x = training.convolve(x, self._weight(layer), layer.bias, self.half and not last)
             if self.ranges:
-                scale = CODES[0] if last else self.ranges[conv.name] / 255.0
-                x = torch.fake_quantize_per_tensor_affine(x, scale, -128, -128, 127)
-            elif last:
-                x = x.clamp(0.0, 1.0)
-            else:
+                scale = CORRECTION if last else (self.ranges[conv.name] / 255.0, -128)
+                x = torch.fake_quantize_per_tensor_affine(x, *scale, -128, 127)
+            elif not last:
                 x = F.relu(x)
                 self._observe(conv.name, x)
-        return x
+        return (picture + x).clamp(0.0, 1.0)
 
     def _weight(self, layer: nn.Conv2d) -> torch.Tensor:
         if not self.ranges:
@@ -136,8 +138,7 @@ class Mnss(nn.Module):
 
 
 def _initialise(model: Mnss) -> None:
-    """Starts as an accumulator that shows what is inserted: the first three channels of the reconstruction hand the
-    picture on, the others are He weights whose results count nothing yet. Source: ours."""
+    """Starts as an accumulator that shows what is inserted: He weights whose results count nothing yet. Source: ours."""
     with torch.no_grad():
         for conv in RECONSTRUCTION:
             layer = model.convs[conv.name]
@@ -145,9 +146,6 @@ def _initialise(model: Mnss) -> None:
             layer.bias.zero_()
             if conv is RECONSTRUCTION[-1]:
                 layer.weight.zero_()
-            layer.weight[:3] = 0.0
-            for c in range(3):
-                layer.weight[c, c, 1, 1] = 1.0
         inpaint, aa = model.convs[INPAINT.name], model.convs[AA.name]
         inpaint.weight.fill_(START_SLOPE)
         inpaint.bias.fill_(START_BIAS)
@@ -167,7 +165,7 @@ class Int8Mnss:
     layers: tuple[quantize.Layer, ...]
 
     def run(self, codes: np.ndarray) -> np.ndarray:
-        """int8 `[1, H, W, 3]` to int8 `[1, H, W, 3]`, bit for bit what TOSA defines."""
+        """int8 `[1, H, W, 3]` to the correction, int8 `[1, H, W, 3]`, bit for bit what TOSA defines."""
         x = codes[0].astype(np.int64)
         for layer in self.layers:
             x = quantize.run_layer(layer, x)
@@ -178,14 +176,16 @@ def _scales(model: Mnss, steps: int) -> list[float]:
     """Real value of one code of each layer's result, where `steps` of them make its range."""
     if not model.ranges:
         raise ValueError("the model has no activation ranges yet")
-    return [CODES[0] if conv is RECONSTRUCTION[-1] else model.ranges[conv.name] / steps for conv in RECONSTRUCTION]
+    return [CORRECTION[0] if conv is RECONSTRUCTION[-1] else model.ranges[conv.name] / steps for conv in RECONSTRUCTION]
 
 
 def to_int8(model: Mnss) -> Int8Mnss:
     """Quantizes with the model's ranges. Errors: ValueError when it has none or a factor cannot be rescaled."""
     layers, before = [], CODES[0]
     for conv, scale in zip(RECONSTRUCTION, _scales(model, 255)):
-        layers.append(quantize._layer(conv.name, model.convs[conv.name], before, scale, -128, True))
+        last = conv is RECONSTRUCTION[-1]
+        layers.append(quantize._layer(conv.name, model.convs[conv.name], before, scale, CORRECTION[1] if last else -128,
+                                      not last))
         before = scale
     return Int8Mnss(tuple(layers))
 
@@ -215,7 +215,7 @@ def build_real_graph(model: Mnss, rows: int, columns: int, dtype: str) -> GraphW
         x = precisions.real_conv(graph, f"{conv.name}/acc", x, model.convs[conv.name], PAD)
         if conv is not RECONSTRUCTION[-1]:
             x = precisions.relu(graph, conv.name, x)
-    graph.output(precisions.real_output(graph, OUTPUT, x, CODES))
+    graph.output(precisions.real_output(graph, OUTPUT, x, CORRECTION))
     return graph
 
 
@@ -226,7 +226,7 @@ def build_short_graph(model: Mnss, rows: int, columns: int) -> GraphWriter:
     for conv, own in zip(RECONSTRUCTION, _scales(model, precisions.INT16_MAX)):
         last = conv is RECONSTRUCTION[-1]
         x = precisions.short_conv(graph, f"{conv.name}/acc", OUTPUT if last else f"{conv.name}/rescale", x, scale,
-                                  model.convs[conv.name], CODES if last else (own, 0), "INT8" if last else "INT16",
+                                  model.convs[conv.name], CORRECTION if last else (own, 0), "INT8" if last else "INT16",
                                   PAD)
         if not last:
             x = precisions.relu(graph, conv.name, x)
@@ -237,7 +237,7 @@ def build_short_graph(model: Mnss, rows: int, columns: int) -> GraphWriter:
 
 def tensor_scales(model: Mnss) -> dict[str, dict[str, precisions.Scale]]:
     """For quantization.json."""
-    ends = {"input": CODES, OUTPUT: CODES}
+    ends = {"input": CODES, OUTPUT: CORRECTION}
     inner = [conv.name for conv in RECONSTRUCTION[:-1]]
     return {"int8": {**ends, **{n: (s, -128) for n, s in zip(inner, _scales(model, 255))}},
             "int16": {**ends, **{n: (s, 0) for n, s in zip(inner, _scales(model, precisions.INT16_MAX))}},

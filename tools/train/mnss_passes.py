@@ -134,9 +134,9 @@ def pre(model: mnss.Mnss, frame: Frame, colour: torch.Tensor, state: State | Non
     return Pre(delta, weight, rectified, smooth, inserted, near)
 
 
-def next_state(frame: Frame, before: Pre, reconstructed: torch.Tensor) -> State:
+def next_state(frame: Frame, before: Pre, shown: torch.Tensor) -> State:
     """State for the next frame."""
-    return State(reconstructed, before.nearness, frame.jitter)
+    return State(shown, before.nearness, frame.jitter)
 
 
 def sharpened(picture: torch.Tensor, beta: float) -> torch.Tensor:
@@ -152,6 +152,7 @@ def input_codes(inserted: torch.Tensor) -> torch.Tensor:
     return codes.to(torch.int8).permute(0, 2, 3, 1).contiguous()
 
 
-def from_codes(codes: torch.Tensor) -> torch.Tensor:
-    """int8 NHWC to values in 0..1, NCHW."""
-    return ((codes.float() + 128.0) / 255.0).permute(0, 3, 1, 2).contiguous()
+def from_codes(codes: torch.Tensor, correction: torch.Tensor | None = None) -> torch.Tensor:
+    """int8 NHWC, corrected where there is a correction, to values in 0..1, NCHW."""
+    sums = codes.float() + 128.0 + (0.0 if correction is None else correction.float())
+    return (sums.clamp(0.0, 255.0) / 255.0).permute(0, 3, 1, 2).contiguous()

@@ -12,7 +12,8 @@ Conventions, the same in the shaders:
   whose J moves the picture, ours the sample. Those of this project's renderer need no compensation.
 - Block motion: of each 8x8 output pixels the motion of the one with the nearest depth, the first in rows where several
   are; an output pixel has the depth and the motion of the render pixel that it lies in. Kept in half floats.
-- Warp: history at uv - m, bilinear, clamped to the border. No test whether it is on the screen: alpha is the network's.
+- Warp: history at uv - m, clamped to the border; the feature bilinear, the colour, too, or with Options.cubic by five taps of
+  Catmull-Rom (nss_passes), so that what moves keeps its detail from frame to frame. No test whether it is on the screen: alpha is the network's.
 - Input channels: colour 3; nearness, the fourth root of what is left to the far end of the depth buffer, which
   steps evenly in powers of the distance; jitter + 0.5 (x, y); warped colour c s^2 + dy s + dx; warped feature.
   Padded to even sides, whose last column and row show the one before.
@@ -37,10 +38,11 @@ NO_OVERSHOOT = 0.875 ** 0.5  # displayed, of an exposed 7: above it a result sta
 
 @dataclass(frozen=True)
 class Options:
-    """What an ablation leaves out."""
+    """What an ablation leaves out, and how the history is read."""
 
     dilation: bool = True
     blending: bool = True
+    cubic: bool = False
 
 
 @dataclass
@@ -124,6 +126,8 @@ def pre(frame: Frame, state: State | None, scale: int, options: Options = Option
         past = colour.new_zeros(n, 4, rows, columns)
     else:
         past = nss_passes.bilinear(torch.cat([state.colour, state.feature], 1), r)
+        if options.cubic:
+            past = torch.cat([nss_passes._CatmullRom.apply(state.colour, r).clamp(0.0, 1.0), past[:, 3:]], 1)
     tensor = torch.cat([colour, near, jitter, F.pixel_unshuffle(past, scale)], 1)
     tensor = F.pad(tensor, (0, w % 2, 0, h % 2), mode="replicate") if w % 2 or h % 2 else tensor
     return Pre(tensor, past[:, :3], motion)

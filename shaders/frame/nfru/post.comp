@@ -38,18 +38,8 @@ vec4 weights_at(vec2 uv, vec4 seen) {
 }
 
 /// Between pixels by Catmull-Rom, as displayed.
-#define TAKE(sample)                                                                                          \
-  const vec2 size = vec2(kOutput);                                                                            \
-  const Bilinear b = bilinear_at(uv, kOutput);                                                                \
-  const CatmullRom w = catmull_rom(b.part);                                                                   \
-  const vec2 base = vec2(b.base) + 0.5, mid = base + w.mid;                                                   \
-  const vec3 centre = rgb_of(sample(mid / size)), left = rgb_of(sample(vec2(base.x - 1.0, mid.y) / size)),    \
-             right = rgb_of(sample(vec2(base.x + 2.0, mid.y) / size)),                                        \
-             up = rgb_of(sample(vec2(mid.x, base.y - 1.0) / size)),                                           \
-             down = rgb_of(sample(vec2(mid.x, base.y + 2.0) / size));                                         \
-  return combine(w, centre, left, right, up, down);
-vec3 newest_at(vec2 uv) { TAKE(sample_displayed) }
-vec3 previous_at(vec2 uv) { TAKE(sample_previous_displayed) }
+vec3 newest_at(vec2 uv) { RETURN_CATMULL_ROM(sample_displayed, uv, kOutput) }
+vec3 previous_at(vec2 uv) { RETURN_CATMULL_ROM(sample_previous_displayed, uv, kOutput) }
 
 void main() {
   const ivec2 at = ivec2(gl_GlobalInvocationID.xy);

@@ -1,4 +1,5 @@
-// shaders/frame/nss/catmull_rom.glsl -- filtered reads between texels by five bilinear taps. Expects color.glsl.
+// shaders/frame/nss/catmull_rom.glsl -- filtered reads between texels by five bilinear taps. Expects color.glsl; the last one
+// bilinear_at.
 
 /// Catmull-Rom from the cross of the twelve texels around a place without the four corners, the weights made to sum to
 /// 1: where between the two middle texels of an axis the middle tap lies, and the weights of the five taps.
@@ -30,3 +31,15 @@ vec3 combine(CatmullRom w, vec3 centre, vec3 left, vec3 right, vec3 up, vec3 dow
   const vec3 kept = beyond ? least(most(sum, low), high) : sum;
   return least(most(kept, vec3(0.0)), vec3(1.0));
 }
+
+/// The body of a function: a picture of `extent` between its pixels at uv, read by `sample`, which is bilinear.
+#define RETURN_CATMULL_ROM(sample, uv, extent)                                                              \
+  const vec2 size = vec2(extent);                                                                           \
+  const Bilinear b = bilinear_at(uv, extent);                                                               \
+  const CatmullRom w = catmull_rom(b.part);                                                                 \
+  const vec2 base = vec2(b.base) + 0.5, mid = base + w.mid;                                                 \
+  const vec3 centre = rgb_of(sample(mid / size)), left = rgb_of(sample(vec2(base.x - 1.0, mid.y) / size)),  \
+             right = rgb_of(sample(vec2(base.x + 2.0, mid.y) / size)),                                      \
+             up = rgb_of(sample(vec2(mid.x, base.y - 1.0) / size)),                                         \
+             down = rgb_of(sample(vec2(mid.x, base.y + 2.0) / size));                                       \
+  return combine(w, centre, left, right, up, down);

@@ -2,13 +2,20 @@
 //
 // Reads color, depth, the blocks' motion, and of the frame before history (rgba16_float, as displayed) and features
 // (r8_unorm), both at output size. Writes the tensor "input", int8 NHWC [1, h, w, 6 + 4 s^2], sides even: colour,
-// nearness, jitter, warped colour by phases, warped feature; and warped, the warped colour at output size. One invocation
-// per two render texels side by side, so that codes come in whole words.
+// nearness, jitter, warped colour by phases, warped feature; and warped, the warped colour at output size. With CUBIC the
+// colour is read by Catmull-Rom. One invocation per two render texels side by side, so that codes come in whole words.
 // Source: QRISP (ICCV 2023), seed_networks.md sections 2.1 and 2.3.
 #version 450
 #include "common.glsl"
 
 layout(local_size_x = LOCAL_X, local_size_y = LOCAL_Y) in;
+
+#ifdef CUBIC
+#include "../nss/catmull_rom.glsl"
+vec3 past_at(vec2 uv) { RETURN_CATMULL_ROM(sample_history, uv, kOutput) }
+#else
+vec3 past_at(vec2 uv) { return rgb_of(sample_history(uv)); }
+#endif
 
 int code(float x) { return clamp(int(floor(x / float(INPUT_SCALE) + 0.5)) + INPUT_ZERO_POINT, -128, 127); }
 
@@ -30,7 +37,7 @@ void main() {
     [[unroll]] for (int phase = 0; phase < kPhases; ++phase) {
       const ivec2 pixel = at * kScale + ivec2(phase % kScale, phase / kScale);
       const vec2 uv = (vec2(pixel) + 0.5) / vec2(kOutput) - xy_of(fetch_moved(pixel / kBlock));
-      const vec3 past = rgb_of(sample_history(uv));
+      const vec3 past = past_at(uv);
       const float feature = sample_features(uv);
       codes[first + 6 + phase] = code(past.r);
       codes[first + 6 + kPhases + phase] = code(past.g);

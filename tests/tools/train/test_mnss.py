@@ -93,7 +93,8 @@ class Network(unittest.TestCase):
         codes = export_mnss.golden_input(32, 40)
         with torch.no_grad():
             wanted = model(passes.from_codes(torch.from_numpy(codes)))[0].permute(1, 2, 0).numpy()
-        found = (mnss.to_int8(model).run(codes)[0].astype(float) + 128) / 255
+        correction = mnss.to_int8(model).run(codes)
+        found = passes.from_codes(*map(torch.from_numpy, (codes, correction)))[0].permute(1, 2, 0).numpy()
         # Roundings of bias and multipliers move a result to a neighbouring code here and there, at each of four layers.
         self.assertLess(np.abs(found - wanted).mean(), 1.0 / 255)
         self.assertLess(np.abs(found - wanted).max(), 8.0 / 255)
@@ -220,6 +221,14 @@ class Training(unittest.TestCase):
             qat = train_mnss.train(self.options(Path(folder) / "c", "--qat", "--init", str(Path(folder) / "a" / "last.pt")),
                                    clips, quiet)
             self.assertEqual(sorted(qat["ranges"]), ["rec1", "rec2", "rec3"])
+            # No steps: the weights as they are, with ranges.
+            ranged = train_mnss.train(self.options(Path(folder) / "d", "--qat", "--steps", "0", "--init",
+                                                   str(Path(folder) / "a" / "last.pt")), clips, quiet)
+            self.assertEqual(sorted(ranged["ranges"]), ["rec1", "rec2", "rec3"])
+            for name, value in whole["model"].items():
+                self.assertTrue(torch.equal(value, ranged["model"][name]), name)
+            with self.assertRaisesRegex(ValueError, "steps must lie in 1 to"):
+                self.options(Path(folder) / "e", "--steps", "0")
             with self.assertRaisesRegex(ValueError, "checkpoint has qat False, the run asks True"):
                 train_mnss.train(self.options(Path(folder) / "a", "--resume", "--qat"), clips, quiet)
 
@@ -258,7 +267,7 @@ class Export(unittest.TestCase):
                 export_mnss.export(folder / "w.npz", folder / out)
             names = sorted(p.relative_to(folder / "a") for p in (folder / "a").rglob("*") if p.is_file())
             self.assertEqual([str(n) for n in names],
-                             ["frame.json", "frame_sharp.json", "golden/input.npy", "golden/reconstructed.npy",
+                             ["frame.json", "frame_sharp.json", "golden/correction.npy", "golden/input.npy",
                               "model.fp16.tosa", "model.fp32.tosa", "model.int16.tosa", "model.tosa",
                               "quantization.json", "weights.npz"])
             for name in names:
@@ -269,7 +278,8 @@ class Export(unittest.TestCase):
     def test_shipped_folders_are_what_their_weights_export(self):
         for shipped in sorted((ROOT / "models").glob("mnss_*")):
             with self.subTest(shipped.name), tempfile.TemporaryDirectory() as out:
-                export_mnss.export(shipped / "weights.npz", Path(out), real=shipped / "weights_float.npz")
+                real = shipped / "weights_float.npz"
+                export_mnss.export(shipped / "weights.npz", Path(out), real=real if real.exists() else None)
                 for path in (p for p in Path(out).rglob("*") if p.is_file()):
                     name = path.relative_to(out)
                     self.assertEqual(path.read_bytes(), (shipped / name).read_bytes(), name)

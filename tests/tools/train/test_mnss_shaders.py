@@ -62,14 +62,14 @@ class FromSceneToPictures(unittest.TestCase):
         clip = nss_data.load_clip(self.folder / f"x{scale}", "0000", ratio=f"x{scale}")
         model, state = random_model(scale), None
         for t in range(FRAMES):
-            found = {name: np.load(out / f"{t:04}.{name}.npy") for name in ("input", "reconstructed", "output")}
+            found = {name: np.load(out / f"{t:04}.{name}.npy") for name in ("input", "correction", "output")}
             frame = clip.frame(t)
             with torch.no_grad():
                 before = passes.pre(model, frame, passes.display(frame.colour * frame.exposure), state)
             difference = np.abs(passes.input_codes(before.inserted).numpy().astype(int) - found["input"].astype(int))
             wrong = (difference > CODE_BOUND).any(axis=3).mean()
             self.assertLessEqual(wrong, SHARE_AT_THRESHOLDS, f"x{scale} frame {t}: input, by up to {difference.max()}")
-            shown = passes.from_codes(torch.from_numpy(found["reconstructed"]))
+            shown = passes.from_codes(*(torch.from_numpy(found[name]) for name in ("input", "correction")))
             wanted = passes.sharpened(shown, export_mnss.BETA) if more else shown
             error = np.abs(found["output"][..., :3] * 255 - wanted[0].permute(1, 2, 0).numpy() * 255).max()
             self.assertLessEqual(error, 0.51 if more else 1e-3, f"x{scale} frame {t}: output")

@@ -46,25 +46,25 @@ class Folder(unittest.TestCase):
 
 @unittest.skipUnless(PROGRAM, "SHALE_PROGRAM is not set")
 class FromSceneToPictures(unittest.TestCase):
-    def compare(self, scale: int, render: str, *more: str) -> None:
+    def compare(self, scale: int, render: str, *more: str, cubic: bool = False) -> None:
         with tempfile.TemporaryDirectory() as keep:
             folder = Path(keep)
             shale("scene", SCENE, "-o", folder / "data", "--render", render, "--ratio", scale, "--frames", FRAMES,
                   *more)
-            qrisp.save_weights(folder / "weights.npz", network("s", scale), {})
+            qrisp.save_weights(folder / "weights.npz", network("s", scale), {"cubic": cubic})
             export_qrisp.export(folder / "weights.npz", folder / "model", 16, str(ROOT / "shaders/frame/qrisp"))
             out = folder / "out"
             shale("play", folder / "model", "-i", folder / "data", "-o", out, "--dump", out, "--kernels", "generic",
                   "--check", "--validation")
-            self.compare_frames(scale, nss_data.load_clip(folder / "data", "0000", ratio=f"x{scale}"), out)
+            self.compare_frames(scale, nss_data.load_clip(folder / "data", "0000", ratio=f"x{scale}"), out, passes.Options(cubic=cubic))
 
-    def compare_frames(self, scale: int, clip: nss_data.Clip, out: Path) -> None:
+    def compare_frames(self, scale: int, clip: nss_data.Clip, out: Path, options: passes.Options) -> None:
         state = None
         for t in range(FRAMES):
             found = {name: np.load(out / f"{t:04}.{name}.npy") for name in (
                 "input", "moved", "warped", "output", "history", "features", *qrisp.HEADS)}
             frame = clip.frame(t)
-            before = passes.pre(frame, state, scale)
+            before = passes.pre(frame, state, scale, options)
             np.testing.assert_array_equal(found["moved"][..., :2], before.motion[0].permute(1, 2, 0).numpy())
             codes = torch.floor(before.input * 255.0 + 0.5).clamp(0, 255) - 128
             difference = np.abs(codes.permute(0, 2, 3, 1).numpy() - found["input"].astype(float))
@@ -91,6 +91,9 @@ class FromSceneToPictures(unittest.TestCase):
 
     def test_ratio_3_whose_blocks_cross_texels_with_reverse_depth(self):
         self.compare(3, "50x35", "--reverse-depth")
+
+    def test_history_by_catmull_rom(self):
+        self.compare(2, "75x44", cubic=True)
 
     def test_ratio_4(self):
         self.compare(4, "34x21")
