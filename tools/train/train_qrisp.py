@@ -33,19 +33,17 @@ import training
 CALIBRATION_SEQUENCES = 8
 #: What a resumed run has to be asked for again.
 RECIPE = ("size", "scale", "steps", "batch", "crop", "frames", "chunk", "seed", "lr", "qat", "dilation", "blending",
-          "jitter", "sets", "half", "minutes", "hold", "cubic", "settle")
+          "jitter", "sets", "half", "minutes", "hold", "cubic")
 
 
 class Rollout:
     """The network through the frames of a sequence."""
 
-    def __init__(self, model: qrisp.Qrisp, sequence: nss_data.Sequence, options: passes.Options, sets: int = 0,
-                 settle: int = 0):
+    def __init__(self, model: qrisp.Qrisp, sequence: nss_data.Sequence, options: passes.Options, sets: int = 0):
         self.model, self.sequence, self.options = model, sequence, options
         self.offsets = qrisp.jitter_sequence(sets)
         self.state: passes.State | None = None
         self.squares: list[float] = []
-        self.settle = settle
 
     def step(self, t: int) -> torch.Tensor:
         """Runs frame t and returns its loss."""
@@ -57,7 +55,7 @@ class Rollout:
         self.state = passes.post(frame, before, outputs, self.state, scale, self.options)
         error = self.state.colour - wanted
         self.squares.append(float((error.detach() ** 2).mean()))
-        return error.abs().mean() * (t >= self.settle)
+        return error.abs().mean()
 
     def detach(self) -> None:
         """The gradient does not go on; the history does."""
@@ -73,8 +71,7 @@ def rollout_of(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse
     """The crops of a step."""
     rng = np.random.default_rng([options.seed, *seed])
     sequence = nss_data.draw(clips, rng, options.batch, options.crop, options.frames)
-    return Rollout(model, sequence, passes.Options(options.dilation, options.blending, options.cubic), options.sets,
-                   options.settle)
+    return Rollout(model, sequence, passes.Options(options.dilation, options.blending, options.cubic), options.sets)
 
 
 def calibrate(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse.Namespace) -> None:
@@ -147,13 +144,11 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--hold", type=float, default=0.0,
                         help="begin with alpha lower by this much before its sigmoid, so that the history counts for more; "
                         "needs --init (default: 0)")
-    parser.add_argument("--settle", type=int, default=0,
-                        help="frames at the start of a sequence whose error does not count (default: 0)")
     training.add_recurrent_options(parser, steps=1000, batch=4, crop=48, frames=12, chunk=4)
     training.add_half(parser)
     options = parser.parse_args(arguments)
     training.check_recurrent(options)
-    training.check_limits(options, {"sets": (0, 64), "hold": (-8, 8), "settle": (0, options.frames - 1)})
+    training.check_limits(options, {"sets": (0, 64), "hold": (-8, 8)})
     if options.hold and not (options.init or options.resume):
         raise ValueError("--hold needs --init")
     if options.crop % 8:
