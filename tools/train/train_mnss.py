@@ -104,8 +104,10 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         if options.init:
             first, earlier = mnss.load_model(options.init)
             model.load_state_dict(first.state_dict())
+            # Weights that were trained for ranges are not for floats: measured anew, these would be others.
+            model.ranges = first.ranges if options.qat else {}
             record["earlier"] = training.earlier_records(earlier)
-        if options.qat:
+        if options.qat and not model.ranges:
             calibrate(model, clips, options)
 
     def rollout_at(step: int) -> Rollout:

@@ -4,7 +4,7 @@
 One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
 every CHUNK frames (the state goes on, its gradient does not). Loss: mean absolute difference of what is shown and
 the truth, both as displayed (qrisp_passes.displayed). Adam, linear warm-up over 2 %, cosine rate. With --qat the
-activation ranges are measured first and then held while the INT8 arithmetic is faked. --sets N takes the weights of the
+activation ranges are measured first, unless the weights have theirs, and then held while the INT8 arithmetic is faked. --sets N takes the weights of the
 nearest of N offsets, as frames do that hold N sets; else those of the exact jitter. Sequences are a function of
 (seed, step), so a resumed run continues with the same bits, given the same machine and thread count.
 --no-dilation, --no-blending and --no-jitter leave a part out, for ablations; only --no-jitter changes what is exported.
@@ -117,8 +117,10 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         model.load_state_dict(first.state_dict())
         with torch.no_grad():
             model.convs["alpha"].bias -= options.hold
+        if options.qat:
+            model.ranges = first.ranges
         record["earlier"] = training.earlier_records(earlier)
-    if options.qat and not options.resume:
+    if options.qat and not model.ranges:
         calibrate(model, clips, options)
 
     def rollout_at(step: int) -> Rollout:

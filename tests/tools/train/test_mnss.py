@@ -227,6 +227,9 @@ class Training(unittest.TestCase):
             self.assertEqual(sorted(ranged["ranges"]), ["rec1", "rec2", "rec3"])
             for name, value in whole["model"].items():
                 self.assertTrue(torch.equal(value, ranged["model"][name]), name)
+            again = train_mnss.train(self.options(Path(folder) / "f", "--qat", "--seed", "9", "--init",
+                                                  str(Path(folder) / "c" / "last.pt")), clips, quiet)
+            self.assertEqual(again["ranges"], qat["ranges"])
             with self.assertRaisesRegex(ValueError, "steps must lie in 1 to"):
                 self.options(Path(folder) / "e", "--steps", "0")
             with self.assertRaisesRegex(ValueError, "checkpoint has qat False, the run asks True"):
