@@ -311,11 +311,36 @@ TEST_F(Cli, WhatIsOfAnotherTypeOrOutOfRangeIsRefused) {
   };
   // An output never goes over what it is made of.
   refused("compile " + small + " -o " + small, "is the file of the input already");
+  refused("convert " + small + " -o " + small, "is the file of the input already");
   EXPECT_EQ(read(small), kSmallGraph);
+  ASSERT_EQ(shale("run " + small + " --random 1 -o " + file("made")).exit, 0);
+  const std::string made = read(file("made/y.npy"));
+  const Outcome over_input =
+      shale("run " + small + " --input x=" + file("made/y.npy") + " -o " + file("made"));
+  EXPECT_EQ(over_input.exit, 1);
+  EXPECT_NE(over_input.text.find("y.npy: error: is the file of the input"), std::string::npos)
+      << over_input.text;
+  EXPECT_EQ(read(file("made/y.npy")), made);
   const std::string scene = file("scene.json");
   fs::copy(kModels + "/scenes/test/still.json", scene);
   refused("scene " + scene + " --needs " + scene + " --frames 1" + render,
           "is the file of the input");
+  fs::create_directory(file("own"));
+  fs::copy(scene, file("own/0001.json"));
+  refused("scene " + scene + " " + file("own/0001.json") + " -o " + file("own") + " --frames 1" +
+              render,
+          "0001.json: error: is the file of the input");
+  EXPECT_EQ(read(file("own/0001.json")), read(scene));
+  write(file("load"), "1\n");
+  refused("play " + kModels + "/baselines/bilinear -i " + scene + " -o " + file("out") +
+              " --frames 1 --budget 90 --or " + kModels + "/baselines/nearest --load " +
+              file("load") + " --animation " + file("load") + render,
+          "is the file of the input");
+  fs::create_directories(file("shown/scene"));
+  write(file("shown/scene/0.png"), "a picture");
+  refused(
+      "eval " + scene + " --pictures x=" + file("shown") + " --page " + file("shown/scene/0.png"),
+      "is the file of the input");
   refused(
       "scene " + scene + " " + scene + " -o " + file("ds") + " --number 9999 --frames 1" + render,
       "2 sequences from 9999 on do not end at 9999");

@@ -375,6 +375,8 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
 std::vector<std::string> CompileArguments::files() const {
   std::vector<std::string> files{frame, choices, constants, needs};
   files.insert(files.end(), targets.begin(), targets.end());
+  for (const std::string& text : import.constants)  // ID=FILE
+    files.push_back(text.substr(text.find('=') + 1));
   return files;
 }
 

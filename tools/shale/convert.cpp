@@ -87,6 +87,8 @@ Result<std::vector<uint8_t>> convert_model(const Arguments& arguments, const For
 Result<int> convert(const Arguments& arguments) {
   SHALE_TRY(const Format* const format, output_format(arguments));
   Outputs outputs;
+  outputs.keep({arguments.input});
+  outputs.keep_named(arguments.import.constants);
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   SHALE_TRY(const ModelFiles model, load_model(arguments.input, "", arguments.precision));
   Json json{{"input", model.path}, {"output", arguments.output}};

@@ -149,7 +149,7 @@ Result<int> eval(const Arguments& arguments) {
   Outputs outputs;
   outputs.keep(arguments.inputs);
   outputs.keep(arguments.methods);
-  outputs.keep(arguments.pictures);
+  outputs.keep_named(arguments.pictures);
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));

@@ -23,11 +23,12 @@ bool is_part(const fs::path& file) {
 
 }  // namespace
 
+void Outputs::keep_file(const std::string& path) {
+  if (const Result<std::string> identity = output_identity(path); identity && !identity->empty())
+    owners_.emplace(*identity, "the input");
+}
+
 void Outputs::keep(const std::vector<std::string>& paths) {
-  const auto keep_file = [&](const std::string& path) {
-    if (const Result<std::string> identity = output_identity(path); identity && !identity->empty())
-      owners_.emplace(*identity, "the input");
-  };
   std::error_code ignored;
   for (const std::string& path : paths) {
     if (!fs::is_directory(path, ignored)) {
@@ -37,6 +38,16 @@ void Outputs::keep(const std::vector<std::string>& paths) {
     for (fs::directory_iterator at(path, ignored); at != fs::directory_iterator();
          at.increment(ignored))
       if (at->is_regular_file(ignored) && is_part(at->path())) keep_file(at->path().string());
+  }
+}
+
+void Outputs::keep_named(const std::vector<std::string>& texts) {
+  std::error_code ignored;
+  for (const std::string& text : texts) {
+    const std::string path = text.substr(text.find('=') + 1);
+    if (!fs::is_directory(path, ignored)) keep_file(path);
+    for (fs::recursive_directory_iterator at(path, ignored), end; at != end; at.increment(ignored))
+      if (at->is_regular_file(ignored)) keep_file(at->path().string());
   }
 }
 

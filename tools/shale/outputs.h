@@ -17,6 +17,8 @@ class Outputs {
  public:
   /// Inputs that no result may replace; of a folder, the files that make a model or a data set.
   void keep(const std::vector<std::string>& paths);
+  /// The same of the paths in texts NAME=PATH; of a folder everything in it, which pictures are.
+  void keep_named(const std::vector<std::string>& texts);
   /// `what` is the option or the result that goes to `path`; an empty path is none.
   /// Errors: as write_file; kBadInput if another result or an input has the file.
   Result<void> claim(const std::string& what, const std::string& path);
@@ -25,6 +27,8 @@ class Outputs {
   Result<void> claim_picture(const std::string& what, const std::string& path);
 
  private:
+  void keep_file(const std::string& path);
+
   std::map<std::string, std::string> owners_;  ///< by output_identity
 };
 

@@ -246,7 +246,8 @@ Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, Sourc
     return is_pictures ? static_cast<PictureSource&>(source).file(i)
                        : fmt::format("{} frame {}", arguments.input, i);
   };
-  outputs.keep({arguments.model, arguments.input, arguments.reference});
+  outputs.keep({arguments.model, arguments.input, arguments.reference, arguments.budget.load});
+  outputs.keep(arguments.budget.others);
   outputs.keep(arguments.compile.files());
   for (uint32_t i = 0; is_pictures && i < source.frame_count(); ++i) outputs.keep({label(i)});
   if (kind == SourceKind::kDataset)  // which has folders

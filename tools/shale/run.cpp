@@ -183,6 +183,7 @@ Result<int> run(const Arguments& arguments) {
   Outputs files;
   files.keep({arguments.file, arguments.check_model});
   files.keep(arguments.compile.files());
+  files.keep_named(arguments.inputs);
   SHALE_TRY_VOID(files.claim("--profile-to", arguments.profile_file));
   SHALE_TRY(const GivenRanges given, parse_ranges(arguments.ranges));
   if (!given.empty() && !arguments.random_seed)

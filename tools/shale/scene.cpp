@@ -176,6 +176,13 @@ Result<int> run(const Arguments& arguments) {
     SHALE_TRY(Scene scene, load_scene(path));
     scenes.push_back(std::move(scene));
   }
+  SHALE_TRY_VOID(make_folder(arguments.output));
+  Outputs outputs;
+  outputs.keep(arguments.scenes);
+  for (uint32_t i = 0; i < sequences; ++i) {
+    const std::string file = fmt::format("{:04}.json", arguments.number + i);
+    SHALE_TRY_VOID(outputs.claim("-o", (fs::path(arguments.output) / file).string()));
+  }
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   Json json{{"device", device.context().caps.name}, {"sequences", Json::array()}};
   uint32_t number = arguments.number;

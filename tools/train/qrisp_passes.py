@@ -12,8 +12,9 @@ Conventions, the same in the shaders:
   whose J moves the picture, ours the sample. Those of this project's renderer need no compensation.
 - Block motion: of each 8x8 output pixels the motion of the one with the nearest depth, the first in rows where several
   are; an output pixel has the depth and the motion of the render pixel that it lies in. Kept in half floats.
-- Warp: history at uv - m, clamped to the border; the feature bilinear, the colour, too, or with Options.cubic by five taps of
-  Catmull-Rom (nss_passes), so that what moves keeps its detail from frame to frame. No test whether it is on the screen: alpha is the network's.
+- Warp: history at uv - m, clamped to the border; the feature bilinear, the colour, too, or with Options.cubic by five
+  taps of Catmull-Rom (nss_passes), so that what moves keeps its detail from frame to frame. No test whether it is on
+  the screen: alpha is the network's.
 - Input channels: colour 3; nearness, the fourth root of what is left to the far end of the depth buffer, which
   steps evenly in powers of the distance; jitter + 0.5 (x, y); warped colour c s^2 + dy s + dx; warped feature.
   Padded to even sides, whose last column and row show the one before.

@@ -104,8 +104,8 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         if options.init:
             first, earlier = mnss.load_model(options.init)
             model.load_state_dict(first.state_dict())
-            # Weights that were trained for ranges are not for floats: measured anew, these would be others.
-            model.ranges = first.ranges if options.qat else {}
+            if options.qat:  # measured anew, in float on weights that are for INT8, they would be others
+                model.ranges = first.ranges
             record["earlier"] = training.earlier_records(earlier)
         if options.qat and not model.ranges:
             calibrate(model, clips, options)

@@ -4,10 +4,11 @@
 One step is one sequence: crops through FRAMES consecutive frames, started with a reset, with an update of the weights
 every CHUNK frames (the state goes on, its gradient does not). Loss: mean absolute difference of what is shown and
 the truth, both as displayed (qrisp_passes.displayed). Adam, linear warm-up over 2 %, cosine rate. With --qat the
-activation ranges are measured first, unless the weights have theirs, and then held while the INT8 arithmetic is faked. --sets N takes the weights of the
-nearest of N offsets, as frames do that hold N sets; else those of the exact jitter. Sequences are a function of
-(seed, step), so a resumed run continues with the same bits, given the same machine and thread count.
---no-dilation, --no-blending and --no-jitter leave a part out, for ablations; only --no-jitter changes what is exported.
+activation ranges are measured first, unless the weights have theirs, and then held while the INT8 arithmetic is
+faked. --sets N takes the weights of the nearest of N offsets, as frames do that hold N sets; else those of the exact
+jitter. Sequences are a function of (seed, step), so a resumed run continues with the same bits, given the same machine
+and thread count. --no-dilation, --no-blending and --no-jitter leave a part out, for ablations; of them --no-jitter alone
+changes what is exported, as --cubic does.
 Source: network notes 2.5. Ours: fewer, smaller crops, the rate, the display curve.
 
 Examples:
@@ -117,7 +118,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         model.load_state_dict(first.state_dict())
         with torch.no_grad():
             model.convs["alpha"].bias -= options.hold
-        if options.qat:
+        if options.qat:  # as in train_mnss.py
             model.ranges = first.ranges
         record["earlier"] = training.earlier_records(earlier)
     if options.qat and not model.ranges:

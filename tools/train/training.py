@@ -169,8 +169,8 @@ def check_limits(options: argparse.Namespace, limits: dict[str, tuple[float, flo
 
 def check_options(options: argparse.Namespace) -> None:
     """What add_options adds. Errors: ValueError."""
-    check_limits(options, {"steps": (0 if options.qat else 1, 10**7), "batch": (1, 256), "crop": (16, 1024), "seed": (0, 999),
-                           "every": (1, 10**7), "threads": (1, 256)})
+    check_limits(options, {"steps": (0 if options.qat else 1, 10**7), "batch": (1, 256), "crop": (16, 1024),
+                           "seed": (0, 999), "every": (1, 10**7), "threads": (1, 256)})
     if not 0 < options.lr <= 1:
         raise ValueError(f"--lr must lie in 0 to 1, found {options.lr}")
     if options.qat and not (options.init or options.resume):
@@ -189,7 +189,8 @@ def add_options(parser: argparse.ArgumentParser, *, steps: int, batch: int, crop
                 crop_help: str = "crop side in render pixels") -> None:
     """With these defaults; check_options checks them. --init is the program's own."""
     parser.add_argument("--data", type=Path, required=True, help="data set folder, which holds a cache, too")
-    parser.add_argument("--steps", type=int, default=steps, help=f"{what}; 0 with --qat measures the ranges alone (default: {steps})")
+    parser.add_argument("--steps", type=int, default=steps,
+                        help=f"{what}; 0 with --qat measures the ranges alone (default: {steps})")
     parser.add_argument("--batch", type=int, default=batch, help=f"crops of each (default: {batch})")
     parser.add_argument("--crop", type=int, default=crop, help=f"{crop_help} (default: {crop})")
     parser.add_argument("--seed", type=int, default=1)
