@@ -251,8 +251,10 @@ Result<std::string> output_identity(const std::string& path) {
 }
 
 bool is_standard_output(const std::string& path) {
-  struct stat info = {};
-  return stat(path.c_str(), &info) == 0 && standard_descriptor(info) == STDOUT_FILENO;
+  struct stat info = {}, null = {};
+  if (stat(path.c_str(), &info) != 0 || standard_descriptor(info) != STDOUT_FILENO) return false;
+  // What goes there never meets.
+  return !S_ISCHR(info.st_mode) || stat("/dev/null", &null) != 0 || info.st_rdev != null.st_rdev;
 }
 
 Result<void> make_folder(const std::string& path) {

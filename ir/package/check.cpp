@@ -18,7 +18,8 @@ constexpr size_t kMaxRank = 6;  // TOSA 1.0, level 8K
 /// A name goes into messages, tables and JSON as it stands.
 Result<void> check_name(const std::string& where, const char* what, const std::string& name) {
   if (name.empty()) return bad_input(where, "the {} is empty", what);
-  if (has_control_characters(name)) return bad_input(where, "the {} has control characters", what);
+  if (const std::string_view fault = name_fault(name); !fault.empty())
+    return bad_input(where, "the {} has {}", what, fault);
   return {};
 }
 

@@ -212,16 +212,16 @@ Result<TensorType> infer_result(const Graph& graph, NodeId id) {
 
 Result<void> verify(const Graph& graph, OpenSizes open) {
   const std::string graph_label = fmt::format("graph \"{}\"", graph.name);
-  if (has_control_characters(graph.name))
-    return bad_input("graph", "has a name with control characters");
+  if (const std::string_view fault = name_fault(graph.name); !fault.empty())
+    return bad_input("graph", "has a name with {}", fault);
   SHALE_TRY_VOID(check_ids(graph, graph_label));
 
   std::unordered_set<std::string_view> names;
   for (uint32_t i = 0; i < graph.values.size(); ++i) {
     const std::string& name = graph.values[i].name;
     if (name.empty()) return bad_input(value_label(graph, {i}), "has an empty name");
-    if (has_control_characters(name))
-      return bad_input(value_label(graph, {i}), "has a name with control characters");
+    if (const std::string_view fault = name_fault(name); !fault.empty())
+      return bad_input(value_label(graph, {i}), "has a name with {}", fault);
     if (!names.insert(name).second)
       return bad_input(value_label(graph, {i}), "has a name that another value has");
   }

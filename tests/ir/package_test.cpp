@@ -574,6 +574,8 @@ const BadPackage kBadPackages[] = {
      "variant 0, resource 1: the resource name is empty"},
     {"NulInResourceName", [](Package& p) { resource(p, 1).name = std::string("a\0b", 3); },
      "variant 0, resource 1: the resource name has control characters"},
+    {"ResourceNameIsNoUtf8", [](Package& p) { resource(p, 1).name = "a\xff"; },
+     "variant 0, resource 1: the resource name has bytes that are no UTF-8"},
     {"ResourceNameTwice", [](Package& p) { resource(p, 1).name = "x"; },
      "variant 0, resource 1: the resource name \"x\" is taken already"},
     {"Category", [](Package& p) { resource(p, 1).category = number<Category>(8); },

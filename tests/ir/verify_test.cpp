@@ -589,6 +589,8 @@ TEST(Verify, RefusesGraphsThatAreNotWellFormed) {
        "accepted"},
       {[](Graph& g) { g.values[1].name = "x"; }, "has a name that another value has"},
       {[](Graph& g) { g.values[1].name = ""; }, "has an empty name"},
+      {[](Graph& g) { g.values[1].name = "a\xff"; }, "has a name with bytes that are no UTF-8"},
+      {[](Graph& g) { g.name = "\xed\xa0\x80"; }, "has a name with bytes that are no UTF-8"},
       {[](Graph& g) { g.nodes[0].inputs[0] = {9}; }, "is value %9, but there are 2 values"},
       {[](Graph& g) { g.nodes[0].output = {}; }, "the result of node 0"},
       {[](Graph& g) { g.inputs[0] = {2}; }, "input 0 is value %2"},

@@ -56,6 +56,44 @@ TEST_F(OutputsTest, AFileHasOneOwner) {
   EXPECT_TRUE(outputs.claim("g", path("model/trade.json")));
 }
 
+TEST_F(OutputsTest, StandardOutputHasOneResult) {
+  write("m.tir", read_text(kSmall).value());
+  picture("a.png", 10);
+  const auto code = [&](const std::string& arguments) {
+    return shell(
+        fmt::format("cd {} && {} {} > out 2> said", folder_.string(), SHALE_PROGRAM, arguments));
+  };
+  const std::string kRun = "run m.tir --random 1 --profile ";
+  for (const std::string& command :
+       {std::string("convert m.tir --to tir --json -o /dev/stdout"),
+        std::string("compile m.tir --json -o ./out"),
+        std::string("report m.tir --json --html /dev/stdout"),
+        std::string("report m.tir --csv /dev/stdout --html /dev/stdout"),
+        kRun + "--json --profile-to /dev/stdout", std::string("tune m.tir --json -o /dev/stdout"),
+        "play " + kBilinear + " -i a.png --json -o /dev/stdout",
+        std::string("diff a.png a.png --json --map /dev/stdout")}) {
+    EXPECT_EQ(code(command), 1) << command;
+    EXPECT_EQ(read("out"), "") << command;
+    EXPECT_NE(read("said").find(" already, so "), std::string::npos) << read("said");
+  }
+  // Text makes way for a result.
+  EXPECT_EQ(code("report m.tir --csv /dev/stdout"), 0) << read("said");
+  EXPECT_TRUE(read("out").starts_with("file,name,")) << read("out");
+  EXPECT_EQ(code("diff a.png a.png --map /dev/stdout"), 0) << read("said");
+  EXPECT_TRUE(read("out").starts_with("\x89PNG") && read("out").ends_with("\xae"
+                                                                          "B`\x82"));
+  for (const std::string& command :
+       {kRun + "--profile-to /dev/stdout", std::string("tune m.tir -o /dev/stdout"),
+        std::string("compile m.tir -o m.shale --json --dump-after all"),
+        std::string("dump m.tir --json -o /dev/stdout")}) {
+    EXPECT_EQ(code(command), 0) << read("said");
+    EXPECT_TRUE(nlohmann::json::accept(read("out"))) << command << read("out");
+  }
+  EXPECT_EQ(shell(fmt::format("cd {} && {} convert m.tir --to tir --json -o /dev/null > /dev/null",
+                              folder_.string(), SHALE_PROGRAM)),
+            0);
+}
+
 TEST_F(OutputsTest, PicturesArePng) {
   Outputs outputs;
   EXPECT_TRUE(outputs.claim_picture("a", path("a.png")));

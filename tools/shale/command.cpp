@@ -269,7 +269,8 @@ void CompileArguments::add_to(CLI::App& app, const DeviceArguments* device_at_ha
       "--needs", needs,
       "what the scenes need (JSON of shale scene --needs, or by hand): what that rules out is not "
       "computed; frames that need more take the full passes");
-  app.add_option("--dump-after", dump_after, "print the graph after these passes")
+  app.add_option("--dump-after", dump_after,
+                 "print the graph after these passes, on standard error")
       ->delimiter(',')
       ->allow_extra_args(false);
   app.add_flag("--no-passes", no_passes, "skip every pass that is not needed to compile");
@@ -366,7 +367,8 @@ Result<CompileOptions> CompileArguments::options(const ModelFiles& model) const 
   if (!dump_after.empty()) {
     options.pass_options.after = [names = dump_after](std::string_view pass, const Graph& graph) {
       for (const std::string& name : names)
-        if (name == "all" || name == pass) fmt::print("# after {}\n{}", pass, print_text(graph));
+        if (name == "all" || name == pass)
+          fmt::print(stderr, "# after {}\n{}", pass, print_text(graph));
     };
   }
   return options;

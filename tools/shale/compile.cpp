@@ -13,7 +13,7 @@ struct Arguments {
 };
 
 Result<int> compile_to_file(const Arguments& arguments) {
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep({arguments.model});
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
@@ -47,7 +47,7 @@ Result<int> compile_to_file(const Arguments& arguments) {
     print_json(json);
     return kDone;
   }
-  std::FILE* const summary = summary_stream(arguments.output);
+  std::FILE* const summary = outputs.summary();
   for (const Json& variant : json["variants"])
     fmt::print(summary, "{}: {} dispatches, {} modules, arena {} bytes\n",
                variant["target"].get<std::string>(), variant["dispatches"].get<size_t>(),

@@ -86,7 +86,7 @@ Result<std::vector<uint8_t>> convert_model(const Arguments& arguments, const For
 
 Result<int> convert(const Arguments& arguments) {
   SHALE_TRY(const Format* const format, output_format(arguments));
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep({arguments.input});
   outputs.keep_named(arguments.import.constants);
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
@@ -102,8 +102,8 @@ Result<int> convert(const Arguments& arguments) {
   if (arguments.json)
     print_json(json);
   else
-    fmt::print(summary_stream(arguments.output), "wrote {} ({}, {} bytes)\n", arguments.output,
-               format->name, bytes->size());
+    fmt::print(outputs.summary(), "wrote {} ({}, {} bytes)\n", arguments.output, format->name,
+               bytes->size());
   return kDone;
 }
 

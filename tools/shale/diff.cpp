@@ -137,7 +137,7 @@ Result<int> diff(const Arguments& arguments) {
     for (size_t i = 0; i < pairs.size(); ++i)
       maps[i] = (fs::path(arguments.map) / (pairs[i].name + ".png")).string();
   }
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   for (const Pair& pair : pairs) outputs.keep({pair.reference, pair.test});
   for (const std::string& path : maps) SHALE_TRY_VOID(outputs.claim_picture("--map", path));
   Json json{{"reference", arguments.reference}, {"test", arguments.test}};
@@ -199,6 +199,7 @@ Result<int> diff(const Arguments& arguments) {
     print_json(json);
     return kDone;
   }
+  if (outputs.has_standard_output()) return kDone;
   print_table(json, arguments);
   if (over_time) {
     const std::vector<std::string> names{fs::path(arguments.test).filename().string()};

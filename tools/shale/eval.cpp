@@ -146,7 +146,7 @@ Result<int> eval(const Arguments& arguments) {
   SHALE_TRY(const std::vector<double> times, generated_times(arguments));
   if (arguments.margin > 0 && times.empty())
     return bad_input("--margin", "is for generated pictures: give --generate or --at");
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep(arguments.inputs);
   outputs.keep(arguments.methods);
   outputs.keep_named(arguments.pictures);
@@ -218,7 +218,7 @@ Result<int> eval(const Arguments& arguments) {
   if (!arguments.page.empty()) SHALE_TRY_VOID(write_text(arguments.page, report_html(report)));
   if (arguments.json)
     print_json(json);
-  else
+  else if (!outputs.has_standard_output())
     print_table(report);
   return kDone;
 }

@@ -72,7 +72,7 @@ Result<void> read_bench(const std::string& path, Data& data) {
 }
 
 Result<int> run(const Arguments& arguments) {
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep(arguments.files);
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
   Data data;
@@ -108,6 +108,7 @@ Result<int> run(const Arguments& arguments) {
     print_json(json);
     return kDone;
   }
+  if (outputs.has_standard_output()) return kDone;
   fmt::print("{} dispatches of {} files, at a roof of {:.1f} GOP/s\n", data.rows.size(),
              arguments.files.size(), constants.roof_gops);
   for (size_t i = 0; i < kWorkCount; ++i)

@@ -12,6 +12,8 @@ namespace fs = std::filesystem;
 
 namespace {
 
+constexpr const char* kStandardOutput = "standard output";  // no output_identity is like it
+
 /// Whether a file of an input's folder is a part of a model or a data set, and not the result of an earlier command.
 bool is_part(const fs::path& file) {
   const std::string suffix = file.extension().string(), stem = file.stem().string();
@@ -22,6 +24,10 @@ bool is_part(const fs::path& file) {
 }
 
 }  // namespace
+
+Outputs::Outputs(bool prints_json) {
+  if (prints_json) owners_.emplace(kStandardOutput, "--json");
+}
 
 void Outputs::keep_file(const std::string& path) {
   if (const Result<std::string> identity = output_identity(path); identity && !identity->empty())
@@ -53,7 +59,8 @@ void Outputs::keep_named(const std::vector<std::string>& texts) {
 
 Result<void> Outputs::claim(const std::string& what, const std::string& path) {
   if (path.empty()) return {};
-  SHALE_TRY(const std::string identity, output_identity(path));
+  SHALE_TRY(std::string identity, output_identity(path));
+  if (is_standard_output(path)) identity = kStandardOutput;
   if (identity.empty()) return {};
   const auto [owner, is_new] = owners_.emplace(identity, what);
   if (!is_new)
@@ -71,16 +78,16 @@ Result<void> Outputs::claim_picture(const std::string& what, const std::string& 
   return claim(what, path);
 }
 
+bool Outputs::has_standard_output() const { return owners_.contains(kStandardOutput); }
+
+std::FILE* Outputs::summary() const { return has_standard_output() ? stderr : stdout; }
+
 std::string FileNames::claim(const std::string& name) {
   const std::string safe = safe_file_name(name);
   std::string candidate = safe;
   for (uint32_t i = 2; !taken_.insert(candidate).second; ++i)
     candidate = fmt::format("{}-{}", safe, i);
   return candidate;
-}
-
-std::FILE* summary_stream(const std::string& path) {
-  return is_standard_output(path) ? stderr : stdout;
 }
 
 }  // namespace shale

@@ -12,9 +12,11 @@
 namespace shale {
 
 /// Claims paths, so that what cannot be written is refused before there is anything to write, and two
-/// results of one command never share a file.
+/// results of one command never share a file. Standard output has one result too, and nothing else then.
 class Outputs {
  public:
+  /// With --json a command's JSON is the result that standard output has.
+  explicit Outputs(bool prints_json = false);
   /// Inputs that no result may replace; of a folder, the files that make a model or a data set.
   void keep(const std::vector<std::string>& paths);
   /// The same of the paths in texts NAME=PATH; of a folder everything in it, which pictures are.
@@ -25,6 +27,10 @@ class Outputs {
   /// As claim, for a picture that is written as PNG: any suffix but .png (or none) is refused, since a
   /// file's content is what its suffix says.
   Result<void> claim_picture(const std::string& what, const std::string& path);
+  /// True if a result goes to standard output, so that no text may.
+  bool has_standard_output() const;
+  /// Where a command sums up what it wrote: standard error if a result has standard output.
+  std::FILE* summary() const;
 
  private:
   void keep_file(const std::string& path);
@@ -40,8 +46,5 @@ class FileNames {
  private:
   std::set<std::string> taken_;
 };
-
-/// Where a command sums up what it wrote to `path`: standard error if standard output has the result.
-std::FILE* summary_stream(const std::string& path);
 
 }  // namespace shale

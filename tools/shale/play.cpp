@@ -231,7 +231,7 @@ bool writes_exr(const Arguments& arguments) {
 }
 
 Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, SourceKind kind,
-                          const std::vector<Shown>& shown) {
+                          const std::vector<Shown>& shown, Outputs& outputs) {
   const bool is_pictures = kind == SourceKind::kPictures;
   std::error_code ignored;
   const bool to_folder = !is_pictures || source.frame_count() > 1 ||
@@ -240,7 +240,6 @@ Result<Paths> claim_paths(const Arguments& arguments, FrameSource& source, Sourc
   if (to_folder) SHALE_TRY_VOID(make_folder(arguments.output));
   if (!arguments.debug_view.empty()) SHALE_TRY_VOID(make_folder(arguments.debug_view));
   if (!arguments.dump.empty()) SHALE_TRY_VOID(make_folder(arguments.dump));
-  Outputs outputs;
   Paths paths;
   const auto label = [&](uint32_t i) {
     return is_pictures ? static_cast<PictureSource&>(source).file(i)
@@ -329,7 +328,8 @@ Result<int> play(const Arguments& arguments) {
                      arguments.model);
   const std::vector<Shown> shown =
       shown_pictures(source->frame_count(), generator, arguments.generate);
-  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind, shown));
+  Outputs outputs(arguments.json);
+  SHALE_TRY(const Paths paths, claim_paths(arguments, *source, kind, shown, outputs));
 
   std::vector<std::vector<DispatchTime>> measured, measured_generated;
   std::vector<PngPicture> animation(arguments.animation.empty() ? 0 : shown.size());
@@ -469,7 +469,7 @@ Result<int> play(const Arguments& arguments) {
     print_json(json);
     return exit;
   }
-  std::FILE* const to = summary_stream(arguments.output);
+  std::FILE* const to = outputs.summary();
   print_frames(json, to);
   if (!median.empty()) print_times(json, "frame", measured.size(), to);
   if (!median_generated.empty())

@@ -92,17 +92,18 @@ std::string csv_of(const Json& files) {
   return text;
 }
 
-Result<int> report_files(const ReportArguments& arguments) {
-  Outputs outputs;
+Result<int> report_files(ReportArguments arguments) {
+  Outputs outputs(arguments.json);
   outputs.keep(arguments.files);
   outputs.keep(arguments.measured);
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--csv", arguments.csv));
   SHALE_TRY_VOID(outputs.claim("--html", arguments.html));
+  arguments.quiet = outputs.has_standard_output();
   Json files = Json::array();
   for (size_t i = 0; i < arguments.files.size(); ++i) {
     const std::string& path = arguments.files[i];
-    if (i > 0 && !arguments.json) fmt::print("\n");
+    if (i > 0 && !arguments.quiet) fmt::print("\n");
     std::error_code ignored;
     Json entry{{"file", path}, {"kind", "model"}};
     bool packaged = false;
@@ -154,6 +155,7 @@ Result<int> report(ReportArguments arguments) {
   arguments.budget.tops = own.tops.value;
   arguments.budget.efficiency = own.efficiency.value;
   if (arguments.passes_ms) arguments.budget.passes_ms = *arguments.passes_ms;
+  arguments.quiet = arguments.json;
   return arguments.cost_table.empty() ? report_files(arguments) : report_cost_table(arguments);
 }
 

@@ -23,6 +23,7 @@ struct ReportArguments {
   ModelOptions model;
   CompileArguments compile;  ///< its shapes and sizes alone
   bool layers = false, json = false;
+  bool quiet = false;  ///< standard output has a result, so text may not go there
 };
 
 /// 5599000000 as "5,599,000,000".

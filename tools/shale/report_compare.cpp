@@ -136,7 +136,7 @@ Result<Json> compare_files(const std::string& before, const std::string& after,
   total(packaged ? "predicted_us" : "modelled_ms",
         Pointer(packaged ? "/time_us" : "/modelled/time_ms"));
   if (packaged) total("measured_us", Pointer("/measured_us"));
-  if (!arguments.json) {
+  if (!arguments.quiet) {
     fmt::print("\n{} against {}\n", after, before);
     if (!change) {
       fmt::print("  nothing changed\n");

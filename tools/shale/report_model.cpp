@@ -399,7 +399,7 @@ Result<Json> report_model(const std::string& path, const ReportArguments& given)
   if (!modelled->network) {
     json["macs"] = 0;
     json["gop"] = 0.0;
-    if (!arguments.json) {
+    if (!arguments.quiet) {
       fmt::print("{}\n  no network: passes alone\n", path);
       print_frame(json["frame"], budget, arguments.layers);
     }
@@ -421,7 +421,7 @@ Result<Json> report_model(const std::string& path, const ReportArguments& given)
   if (!arguments.measured.empty()) {
     SHALE_TRY(json["measured"], measured_of(arguments, model.name));
   }
-  if (!arguments.json) {
+  if (!arguments.quiet) {
     fmt::print("{}\n", path);
     print_graph(json, arguments);
     print_modelled(json, budget, arguments.layers);

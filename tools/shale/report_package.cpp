@@ -187,7 +187,7 @@ Result<Json> report_package(const std::string& path, std::span<const uint8_t> by
                      arguments.measured.size());
   SHALE_TRY(const Package package, read_package(bytes));
   SHALE_TRY(const PackageReport report, cost_of_package(package, arguments));
-  if (!arguments.json) {
+  if (!arguments.quiet) {
     fmt::print("{}\n", path);
     print_package(report, package, arguments);
   }

@@ -68,7 +68,7 @@ Result<Json> report_row_graph(const CostRow& row, const ReportArguments& argumen
   SHALE_TRY(const Graph graph, graph_of_layers(row.id, row.layers, h, w));
   SHALE_TRY_VOID(verify(graph));
   const Json json = graph_json(graph, arguments);
-  if (!arguments.json) {
+  if (!arguments.quiet) {
     fmt::print("\nas an INT8 graph with made-up weights, {}x{} LR pixels:\n", w, h);
     print_graph(json, arguments);
   }
@@ -103,7 +103,7 @@ Result<int> report_cost_table(const ReportArguments& arguments) {
   const int exit = differ > 0 ? kRefused : kDone;
   Json json{{"reproduced", reproduced}, {"differs", differ}, {"rows", Json::array()}};
   for (const CostRow& row : rows) json["rows"].push_back(row_json(row));
-  if (!arguments.json) {
+  if (!arguments.quiet) {
     if (counted > 0)
       fmt::print("{:<20}{:>10}{:>9} {:<11}{:>12}{:>11}{:>11}{:>11}{:>11}{:>8}  {:<10} {}\n", "row",
                  "params", "stated", "", "MAC/LR px", "at HR", "ctr_A/px", "LR size", "G computed",
@@ -121,7 +121,7 @@ Result<int> report_cost_table(const ReportArguments& arguments) {
     const Result<Json> graph = report_row_graph(rows.front(), arguments);
     if (graph)
       json["graph"] = *graph;
-    else if (arguments.json)
+    else if (arguments.quiet)
       json["graph_error"] = graph.error().text();
     else
       fmt::print("no INT8 graph: {}\n", graph.error().text());

@@ -180,7 +180,7 @@ void fill_random(std::vector<Tensor>& inputs, const std::vector<RandomRange>& ra
 }
 
 Result<int> run(const Arguments& arguments) {
-  Outputs files;
+  Outputs files(arguments.json);
   files.keep({arguments.file, arguments.check_model});
   files.keep(arguments.compile.files());
   files.keep_named(arguments.inputs);
@@ -289,6 +289,7 @@ Result<int> run(const Arguments& arguments) {
     print_json(json);
     return exit;
   }
+  if (files.has_standard_output()) return exit;
   fmt::print("ran on {}{}\n", device_name, native ? ", by its own data graph pipelines" : "");
   for (size_t i = 0; i < checks.size(); ++i)
     fmt::print("output \"{}\": {}\n", names[i].name, checks[i].text());

@@ -100,7 +100,7 @@ Result<void> save_previews(const fs::path& root, uint32_t number, uint32_t index
 
 /// --needs: looks at the frames of scenes and datasets, and writes what they need.
 Result<int> write_needs(const Arguments& arguments) {
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep(arguments.scenes);
   SHALE_TRY_VOID(outputs.claim("--needs", arguments.needs));
   SHALE_TRY(const Extent render, extent_of("--render", arguments.render));
@@ -146,7 +146,7 @@ Result<int> write_needs(const Arguments& arguments) {
   SHALE_TRY_VOID(device.close());
   const std::string text = needs_text(*all);
   SHALE_TRY_VOID(write_text(arguments.needs, text));
-  fmt::print("{}", text);
+  if (!outputs.has_standard_output() || arguments.json) fmt::print("{}", text);
   return kDone;
 }
 
@@ -177,7 +177,7 @@ Result<int> run(const Arguments& arguments) {
     scenes.push_back(std::move(scene));
   }
   SHALE_TRY_VOID(make_folder(arguments.output));
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep(arguments.scenes);
   for (uint32_t i = 0; i < sequences; ++i) {
     const std::string file = fmt::format("{:04}.json", arguments.number + i);

@@ -746,7 +746,7 @@ Result<int> stress(const Arguments& arguments) {
     return arguments.only.empty() ||
            std::find(arguments.only.begin(), arguments.only.end(), group) != arguments.only.end();
   };
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep({arguments.model});
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
@@ -827,7 +827,7 @@ Result<int> stress(const Arguments& arguments) {
         arguments.page, data_page("At the extremes", json, cost_page::kEmbeddedFiles[2].text)));
   if (arguments.json)
     print_json(json);
-  else
+  else if (!outputs.has_standard_output())
     print(json);
   return hold == verdicts ? kDone : kRefused;
 }

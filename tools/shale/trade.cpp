@@ -511,7 +511,7 @@ Result<int> trade(const Arguments& arguments) {
   std::error_code error;
   fs::create_directories(cells, error);
   if (error) return io_error(cells.string(), "cannot create: {}", error.message());
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep(arguments.scenes);
   SHALE_TRY_VOID(outputs.claim("the figures", text_file));
   SHALE_TRY_VOID(outputs.claim("the page", page_file));

@@ -51,7 +51,7 @@ Result<Layers> measure(const Arguments& arguments, const ToolDevice& device,
 }
 
 Result<int> run(const Arguments& arguments) {
-  Outputs outputs;
+  Outputs outputs(arguments.json);
   outputs.keep({arguments.model});
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
@@ -109,10 +109,12 @@ Result<int> run(const Arguments& arguments) {
     print_json(json);
     return kDone;
   }
+  std::FILE* const summary = outputs.summary();
   for (const auto& [name, layer] : best)
-    fmt::print("  {:<16} {:<20} {:>9.1f} us   selected {:<20} {:>9.1f} us\n", name, layer.kernel,
-               layer.time_us, selected.at(name).kernel, selected.at(name).time_us);
-  fmt::print("selected {:.1f} us, fastest {:.1f} us: selection is {:.1f} % above it\nwrote {}\n",
+    fmt::print(summary, "  {:<16} {:<20} {:>9.1f} us   selected {:<20} {:>9.1f} us\n", name,
+               layer.kernel, layer.time_us, selected.at(name).kernel, selected.at(name).time_us);
+  fmt::print(summary,
+             "selected {:.1f} us, fastest {:.1f} us: selection is {:.1f} % above it\nwrote {}\n",
              selected_us, tuned_us, 100 * (selected_us / tuned_us - 1), arguments.output);
   return kDone;
 }
