@@ -76,6 +76,19 @@ bool is_magic(const std::string& link) {
   return statfs(folder_of(link).c_str(), &info) == 0 && info.f_type == PROC_SUPER_MAGIC;
 }
 
+/// Standard output or error, if they are the file: what is written otherwise starts anew at its
+/// beginning, below or above their own text. -1 if they are not.
+int standard_descriptor(const struct stat& info) {
+  for (const int number : {STDOUT_FILENO, STDERR_FILENO}) {
+    struct stat own = {};
+    const int flags = fcntl(number, F_GETFL);
+    if (flags != -1 && (flags & O_ACCMODE) != O_RDONLY && fstat(number, &own) == 0 &&
+        own.st_dev == info.st_dev && own.st_ino == info.st_ino)
+      return number;
+  }
+  return -1;
+}
+
 Result<Target> target_of(const std::string& path) {
   Target target{path, true};
   if (path.empty()) return io_error(path, "the path of the file to write is empty");
@@ -87,6 +100,9 @@ Result<Target> target_of(const std::string& path) {
     return bad_input(path, "is a folder, expected a file to write");
   if (target.exists && !S_ISREG(target.info.st_mode)) {
     target.replaces = false;
+    if (standard_descriptor(target.info) < 0 &&
+        faccessat(AT_FDCWD, path.c_str(), W_OK, AT_EACCESS) != 0)
+      return io_error(path, "cannot write: {}", std::strerror(errno));
     return target;
   }
   for (int links = 0;; ++links) {
@@ -109,19 +125,6 @@ Result<Target> target_of(const std::string& path) {
   if (faccessat(AT_FDCWD, folder_of(target.path).c_str(), W_OK | X_OK, AT_EACCESS) != 0)
     return io_error(path, "cannot create: {}", std::strerror(errno));
   return target;
-}
-
-/// Standard output or error, if they are the file: what is written otherwise starts anew at its
-/// beginning, below or above their own text. -1 if they are not.
-int standard_descriptor(const struct stat& info) {
-  for (const int number : {STDOUT_FILENO, STDERR_FILENO}) {
-    struct stat own = {};
-    const int flags = fcntl(number, F_GETFL);
-    if (flags != -1 && (flags & O_ACCMODE) != O_RDONLY && fstat(number, &own) == 0 &&
-        own.st_dev == info.st_dev && own.st_ino == info.st_ino)
-      return number;
-  }
-  return -1;
 }
 
 bool write_all(int descriptor, std::span<const uint8_t> bytes) {

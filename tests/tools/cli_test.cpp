@@ -162,6 +162,8 @@ TEST_F(Cli, ExitCodesTellUsageFromRefusalFromMissingDevice) {
   EXPECT_EQ(shale("").exit, 2);
   EXPECT_EQ(shale("nonsense").exit, 2);
   EXPECT_EQ(shale("compile").exit, 2);
+  for (const char* unused : {" --html x", " --csv x", " --render 8x8"})
+    EXPECT_EQ(shale("report --cost-table " + file("absent.json") + unused).exit, 2) << unused;
   EXPECT_EQ(shale("verify " + file("absent.tosa")).exit, 1);
   EXPECT_EQ(shale("verify " + file("small.tir")).exit, 0);
   EXPECT_EQ(shale("doctor", "VK_ICD_FILENAMES=/nonexistent VK_DRIVER_FILES=/nonexistent").exit, 3);

@@ -150,6 +150,35 @@ TEST_F(OutputsTest, WhatCannotBeWrittenIsRefusedFirst) {
       << read("said");
 }
 
+TEST_F(OutputsTest, OneThatCannotBeWrittenKeepsNoOtherBack) {
+  write("m.tir", read_text(kSmall).value());
+  picture("a.png", 10);
+  const std::string kThin = SHALE_SOURCE_DIR "/models/scenes/test/thin.json";
+  const struct {
+    std::string command, text, file;
+  } kCases[]{
+      {"report m.tir --csv /dev/full --html page.html", "m.tir", "page.html"},
+      {"run m.tir --random 1 --profile-to /dev/full -o out", "ran on", "out/y.npy"},
+      {"tune m.tir -o /dev/full", "fastest", ""},
+      {"diff a.png a.png --map /dev/full", "PSNR dB", ""},
+      {"scene " + kThin + " --needs /dev/full --frames 1 --render 32x18", "needs", ""},
+      {"eval " + kThin + " -m " + kBilinear +
+           " --frames 1 --render 32x18 --json-file /dev/full --page eval.html",
+       "PSNR dB", "eval.html"},
+      {"stress " + kBilinear + " --only cut --recover 1 --json-file /dev/full --page stress.html",
+       "verdicts", "stress.html"},
+      {"play " + kBilinear + " -i a.png -o b.png --animation /dev/full", "a.png -> b.png",
+       "b.png"}};
+  for (const auto& each : kCases) {
+    EXPECT_EQ(shale(each.command), 1) << each.command;
+    EXPECT_NE(read("said").find("/dev/full: error: cannot write: No space left on device"),
+              std::string::npos)
+        << read("said");
+    EXPECT_NE(read("said").find(each.text), std::string::npos) << each.command << read("said");
+    EXPECT_TRUE(fs::exists(path(each.file))) << each.command;
+  }
+}
+
 TEST_F(OutputsTest, ACacheThatCannotBeWrittenIsAWarning) {
   for (const std::string& cache : {std::string("missing/cache"), std::string("/dev/full"),
                                    std::string("."), std::string("own.txt")}) {

@@ -104,6 +104,10 @@ TEST_F(TerminalTest, AFullDiskOrClosedPipeIsAnErrorLine) {
       EXPECT_TRUE(errors.starts_with("standard output: error: cannot write: ")) << errors;
       EXPECT_EQ(std::ranges::count(errors, '\n'), 1) << errors;
     }
+  // The same by its name.
+  EXPECT_EQ(code("dump " + kSmall + " -o /dev/stdout", ">&-"), 1);
+  EXPECT_TRUE(read_text(path("errors"))->starts_with("/dev/stdout: error: cannot write: "))
+      << *read_text(path("errors"));
   // A reader that goes away.
   EXPECT_EQ(
       shell(fmt::format("bash -c '(trap \"\" EXIT; {} dump {} 2> {}; echo $? > {}) | head -1 > "

@@ -175,10 +175,10 @@ Result<int> diff(const Arguments& arguments) {
         metrics = compare(PreparedReference(std::move(reference), options), test, &map);
       }
       entry.update(metrics_json(metrics));
-      if (!maps.empty()) {
-        SHALE_TRY_VOID(save_png(maps[i], error_colours(map)));
+      // A folder that could not take one map will take no other.
+      if (!maps.empty() && outputs.all_written() &&
+          outputs.note(save_png(maps[i], error_colours(map))))
         entry["map"] = maps[i];
-      }
       for (const Column& column : kColumns) {
         if (!entry.contains(column.key)) continue;
         auto& [sum, count] = sums[column.key];
@@ -195,17 +195,18 @@ Result<int> diff(const Arguments& arguments) {
       json["mean"][column.key] = sum->second.first / sum->second.second;
   const SequenceMetrics means = evaluator.finish();
   if (over_time) json["over_time"] = sequence_json(means);
+  const int exit = outputs.all_written() ? kDone : kRefused;
   if (arguments.json) {
     print_json(json);
-    return kDone;
+    return exit;
   }
-  if (outputs.has_standard_output()) return kDone;
+  if (outputs.has_standard_output()) return exit;
   print_table(json, arguments);
   if (over_time) {
     const std::vector<std::string> names{fs::path(arguments.test).filename().string()};
     print_over_time(names, {&means});
   }
-  return kDone;
+  return exit;
 }
 
 }  // namespace

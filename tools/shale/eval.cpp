@@ -213,14 +213,13 @@ Result<int> eval(const Arguments& arguments) {
   }
   SHALE_TRY_VOID(device.close());
   const Json json = report_json(report);
-  if (!arguments.json_file.empty())
-    SHALE_TRY_VOID(write_text(arguments.json_file, json_text(json)));
-  if (!arguments.page.empty()) SHALE_TRY_VOID(write_text(arguments.page, report_html(report)));
+  if (!arguments.json_file.empty()) outputs.note(write_text(arguments.json_file, json_text(json)));
+  if (!arguments.page.empty()) outputs.note(write_text(arguments.page, report_html(report)));
   if (arguments.json)
     print_json(json);
   else if (!outputs.has_standard_output())
     print_table(report);
-  return kDone;
+  return outputs.all_written() ? kDone : kRefused;
 }
 
 }  // namespace

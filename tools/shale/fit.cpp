@@ -100,15 +100,16 @@ Result<int> run(const Arguments& arguments) {
     if (std::abs(us - row.time_us) <= 0.25 * row.time_us) close += row.time_us;
   }
   Json json = constants_json(target, constants);
-  if (!arguments.output.empty()) SHALE_TRY_VOID(write_text(arguments.output, json_text(json)));
+  if (!arguments.output.empty()) outputs.note(write_text(arguments.output, json_text(json)));
   json["dispatches"] = data.rows.size();
   json["predicted_of_measured"] = predicted / time;
   json["close_share"] = close / time;
+  const int exit = outputs.all_written() ? kDone : kRefused;
   if (arguments.json) {
     print_json(json);
-    return kDone;
+    return exit;
   }
-  if (outputs.has_standard_output()) return kDone;
+  if (outputs.has_standard_output()) return exit;
   fmt::print("{} dispatches of {} files, at a roof of {:.1f} GOP/s\n", data.rows.size(),
              arguments.files.size(), constants.roof_gops);
   for (size_t i = 0; i < kWorkCount; ++i)
@@ -116,7 +117,7 @@ Result<int> run(const Arguments& arguments) {
   fmt::print(
       "predicted {:+.1f} % in all; {:.0f} % of the time in dispatches predicted within 25 %\n",
       100 * (predicted / time - 1), 100 * close / time);
-  return kDone;
+  return exit;
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <filesystem>
 
 #include "ir/base/file.h"
+#include "tools/shale/terminal.h"
 
 namespace shale {
 
@@ -76,6 +77,12 @@ Result<void> Outputs::claim_picture(const std::string& what, const std::string& 
     return bad_input(path, "pictures are written as PNG, expected the suffix .png, found \"{}\"",
                      suffix);
   return claim(what, path);
+}
+
+bool Outputs::note(const Result<void>& written) {
+  if (written) return true;
+  print_error(written.error());
+  return all_written_ = false;
 }
 
 bool Outputs::has_standard_output() const { return owners_.contains(kStandardOutput); }

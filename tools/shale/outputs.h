@@ -27,6 +27,10 @@ class Outputs {
   /// As claim, for a picture that is written as PNG: any suffix but .png (or none) is refused, since a
   /// file's content is what its suffix says.
   Result<void> claim_picture(const std::string& what, const std::string& path);
+  /// Takes what came of writing a result at the end of the work: an error is told, and keeps nothing else
+  /// that the command has to say or to write from coming. True if there is none.
+  bool note(const Result<void>& written);
+  bool all_written() const { return all_written_; }
   /// True if a result goes to standard output, so that no text may.
   bool has_standard_output() const;
   /// Where a command sums up what it wrote: standard error if a result has standard output.
@@ -36,6 +40,7 @@ class Outputs {
   void keep_file(const std::string& path);
 
   std::map<std::string, std::string> owners_;  ///< by output_identity
+  bool all_written_ = true;
 };
 
 /// File names for names that come from models: safe, and different for different names.

@@ -458,8 +458,9 @@ Result<int> play(const Arguments& arguments) {
   source.reset();  // before the device
   SHALE_TRY_VOID(device.close());
   if (!arguments.animation.empty()) {
-    SHALE_TRY_VOID(save_animation(arguments.animation, animation,
-                                  static_cast<uint16_t>(kFrameRate * (arguments.generate + 1))));
+    outputs.note(save_animation(arguments.animation, animation,
+                                static_cast<uint16_t>(kFrameRate * (arguments.generate + 1))));
+    if (!outputs.all_written()) exit = kRefused;
   }
   const std::vector<DispatchTime> median = median_times(measured),
                                   median_generated = median_times(measured_generated);

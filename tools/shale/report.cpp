@@ -135,12 +135,12 @@ Result<int> report_files(ReportArguments arguments) {
     SHALE_TRY(json["comparison"],
               compare_files(arguments.files[0], arguments.files[1], arguments, json["files"]));
   }
-  if (!arguments.csv.empty()) SHALE_TRY_VOID(write_text(arguments.csv, csv_of(json["files"])));
+  if (!arguments.csv.empty()) outputs.note(write_text(arguments.csv, csv_of(json["files"])));
   if (!arguments.html.empty())
-    SHALE_TRY_VOID(write_text(
+    outputs.note(write_text(
         arguments.html, data_page("What networks cost", json, cost_page::kEmbeddedFiles[0].text)));
   if (arguments.json) print_json(json);
-  return kDone;
+  return outputs.all_written() ? kDone : kRefused;
 }
 
 Result<int> report(ReportArguments arguments) {
@@ -217,6 +217,11 @@ Action add_report(CLI::App& app) {
   app.add_option("--html", arguments->html, "file for a page with charts");
   app.add_option("--csv", arguments->csv, "file for a table of all dispatches");
   app.add_flag("--json", arguments->json, "print the report as JSON");
+  // A table has none of what these choose or write.
+  for (const char* option :
+       {"--html", "--csv", "--measured", "--variant", "--frame", "--render", "--output-size",
+        "--precision", "--input-shape", "--entry-point", "--constant"})
+    app.get_option(option)->excludes(table);
   app.footer(
       "Example: shale report models/nss_v1_high models/srpo_x2 --html report.html\n"
       "         shale report models/nss_v1_high --layers --efficiency 0.4\n"

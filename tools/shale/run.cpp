@@ -272,8 +272,7 @@ Result<int> run(const Arguments& arguments) {
   }
   SHALE_TRY_VOID(native ? native->close() : device->close());
   for (size_t i = 0; i < paths.size(); ++i) {
-    SHALE_TRY_VOID(write_npy(paths[i], outputs[i]));
-    json["outputs"][names[i].name] = paths[i];
+    if (files.note(write_npy(paths[i], outputs[i]))) json["outputs"][names[i].name] = paths[i];
   }
   double total_us = 0;
   for (const DispatchTime& time : times) {
@@ -284,7 +283,8 @@ Result<int> run(const Arguments& arguments) {
   json["start"] = {{"create_ms", start.create_ms}, {"first_ms", start.first_ms}};
   if (measure) json["total_us"] = total_us;
   if (!arguments.profile_file.empty())
-    SHALE_TRY_VOID(write_text(arguments.profile_file, json_text(json)));
+    files.note(write_text(arguments.profile_file, json_text(json)));
+  if (!files.all_written()) exit = kRefused;
   if (arguments.json) {
     print_json(json);
     return exit;

@@ -145,9 +145,9 @@ Result<int> write_needs(const Arguments& arguments) {
   }
   SHALE_TRY_VOID(device.close());
   const std::string text = needs_text(*all);
-  SHALE_TRY_VOID(write_text(arguments.needs, text));
+  outputs.note(write_text(arguments.needs, text));
   if (!outputs.has_standard_output() || arguments.json) fmt::print("{}", text);
-  return kDone;
+  return outputs.all_written() ? kDone : kRefused;
 }
 
 Result<int> run(const Arguments& arguments) {

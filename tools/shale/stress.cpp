@@ -820,16 +820,15 @@ Result<int> stress(const Arguments& arguments) {
     }
   json["hold"] = hold;
   json["verdicts"] = verdicts;
-  if (!arguments.json_file.empty())
-    SHALE_TRY_VOID(write_text(arguments.json_file, json_text(json)));
+  if (!arguments.json_file.empty()) outputs.note(write_text(arguments.json_file, json_text(json)));
   if (!arguments.page.empty())
-    SHALE_TRY_VOID(write_text(
-        arguments.page, data_page("At the extremes", json, cost_page::kEmbeddedFiles[2].text)));
+    outputs.note(write_text(arguments.page,
+                            data_page("At the extremes", json, cost_page::kEmbeddedFiles[2].text)));
   if (arguments.json)
     print_json(json);
   else if (!outputs.has_standard_output())
     print(json);
-  return hold == verdicts ? kDone : kRefused;
+  return hold == verdicts && outputs.all_written() ? kDone : kRefused;
 }
 
 }  // namespace

@@ -124,8 +124,15 @@ void watch(const sigset_t& signals) {
 void prepare_process() {
   for (const int number : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
     if (fcntl(number, F_GETFD) != -1) continue;
-    // The lowest free number is this one. In the wrong direction, so that its use is an error.
-    (void)!open("/dev/null", number == STDIN_FILENO ? O_WRONLY : O_RDONLY);
+    // The lowest free number is this one, and its use has to be an error, also by its name below /dev: for
+    // input a file open in the wrong direction, for output a pipe that nobody reads.
+    int ends[2];
+    if (number == STDIN_FILENO) {
+      (void)!open("/dev/null", O_WRONLY);
+    } else if (pipe(ends) == 0) {
+      dup2(ends[1], number);
+      if (ends[1] != number) close(ends[1]);
+    }
   }
   signal(SIGPIPE, SIG_IGN);
   board();

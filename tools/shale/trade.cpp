@@ -627,12 +627,13 @@ Result<int> trade(const Arguments& arguments) {
       {"methods", overall(json["scenes"])}};
   for (size_t s = 0; s < scenes.size(); ++s) finish(json["scenes"][s], arguments, words[s]);
   finish(json["overall"], arguments, {});
-  SHALE_TRY_VOID(write_text(text_file, json_text(json)));
-  SHALE_TRY_VOID(write_text(
+  outputs.note(write_text(text_file, json_text(json)));
+  outputs.note(write_text(
       page_file, data_page("Speed against accuracy", json, cost_page::kEmbeddedFiles[1].text)));
+  const int exit = outputs.all_written() ? kDone : kRefused;
   if (arguments.json) {
     print_json(json);
-    return kDone;
+    return exit;
   }
   for (const Json& scene : json["scenes"]) {
     print_scene(scene);
@@ -643,7 +644,7 @@ Result<int> trade(const Arguments& arguments) {
     fmt::print("\n  left out: {} at x{}: {}\n", row["name"].get<std::string>(),
                row["scale"].get<double>(), row["why"].get<std::string>());
   fmt::print("\n{}\n", page_file);
-  return kDone;
+  return exit;
 }
 
 }  // namespace

@@ -104,19 +104,20 @@ Result<int> run(const Arguments& arguments) {
                   {"layers", layers},
                   {"choices", choices}};
   SHALE_TRY_VOID(device.close());
-  SHALE_TRY_VOID(write_text(arguments.output, json_text(json)));
+  outputs.note(write_text(arguments.output, json_text(json)));
+  const int exit = outputs.all_written() ? kDone : kRefused;
   if (arguments.json) {
     print_json(json);
-    return kDone;
+    return exit;
   }
   std::FILE* const summary = outputs.summary();
   for (const auto& [name, layer] : best)
     fmt::print(summary, "  {:<16} {:<20} {:>9.1f} us   selected {:<20} {:>9.1f} us\n", name,
                layer.kernel, layer.time_us, selected.at(name).kernel, selected.at(name).time_us);
-  fmt::print(summary,
-             "selected {:.1f} us, fastest {:.1f} us: selection is {:.1f} % above it\nwrote {}\n",
-             selected_us, tuned_us, 100 * (selected_us / tuned_us - 1), arguments.output);
-  return kDone;
+  fmt::print(summary, "selected {:.1f} us, fastest {:.1f} us: selection is {:.1f} % above it\n",
+             selected_us, tuned_us, 100 * (selected_us / tuned_us - 1));
+  if (outputs.all_written()) fmt::print(summary, "wrote {}\n", arguments.output);
+  return exit;
 }
 
 }  // namespace
