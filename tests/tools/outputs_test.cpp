@@ -111,6 +111,47 @@ TEST_F(OutputsTest, NamesDiffer) {
   EXPECT_EQ(names.claim("c"), "c");
 }
 
+TEST_F(OutputsTest, ListsTellEqualNamesApart) {
+  using Names = std::vector<std::string>;
+  EXPECT_EQ(distinct_names({"x", "y"}, {"a/x.json", "b/y.json"}), (Names{"x", "y"}));
+  EXPECT_EQ(distinct_names({"0000", "0000", "net"}, {"one/0000.json", "a/two/0000.json", "net/"}),
+            (Names{"one/0000", "two/0000", "net"}));
+  EXPECT_EQ(distinct_names({"x", "x", "x"}, {"/a/c/x", "/b/c/x", "/x/"}),
+            (Names{"a/c/x", "b/c/x", "x"}));
+  EXPECT_EQ(distinct_names({"x", "x", "x"}, {"a/x", "./a//x", "b/x"}),
+            (Names{"a/x", "a/x-2", "b/x"}));
+}
+
+TEST_F(OutputsTest, EvalTellsEqualNamesApart) {
+  const std::string render = " --render 32x18 --frames 1 ";
+  for (const char* name : {"one", "two"}) {
+    ASSERT_EQ(shale(fmt::format("scene {}/models/scenes/test/thin.json{}-o {}", SHALE_SOURCE_DIR,
+                                render, name)),
+              0)
+        << read("said");
+    fs::create_directories(folder_ / "pictures" / name);
+    fs::copy(folder_ / name / "ground_truth", folder_ / "pictures" / name,
+             fs::copy_options::recursive);
+    fs::create_directories(folder_ / "methods" / name);
+    ASSERT_EQ(shale("compile " + kBilinear + " --target device --render 32x18 -o methods/" + name +
+                    "/net.shale"),
+              0)
+        << read("said");
+  }
+  ASSERT_EQ(shale("eval one two -m methods/one/net.shale -m methods/two/net.shale --pictures "
+                  "other=pictures "
+                  "--no-time --json --json-file report.json 2> /dev/null"),
+            0)
+      << read("said");
+  const nlohmann::json json = nlohmann::json::parse(read("report.json"));
+  EXPECT_EQ(json["scenes"][0]["name"], "one/0000");
+  EXPECT_EQ(json["scenes"][1]["name"], "two/0000");
+  EXPECT_NE(read("said").find("\"one/net\""), std::string::npos) << read("said");
+  EXPECT_NE(read("said").find("\"two/net\""), std::string::npos) << read("said");
+  EXPECT_EQ(shale("eval one -m methods/one/net.shale --pictures net=pictures/one"), 1);
+  EXPECT_NE(read("said").find("is the name of another method"), std::string::npos) << read("said");
+}
+
 TEST_F(OutputsTest, CommandsWriteThroughAndKeepLinks) {
   write("m.tir", read_text(kSmall).value());
   write("real.tir", "old");

@@ -956,7 +956,7 @@ TEST_F(DatasetTest, RefusesSequencesThatBreakTheRules) {
 TEST_F(DatasetTest, TakesTheRatioThatIsNamedOrTwoOrTheOnlyOne) {
   const std::string json = write_sequence();
   EXPECT_EQ(must(DatasetSource::open(json))->render_size(), (Extent{12, 8}));
-  // What the sequence lists says nothing of what is there.
+  // Not all that the sequence lists has to be there.
   replace_in(json, "\"x1_5_index\": 0", "\"x1_3_index\": 7, \"x2_index\": 1, \"x1_5_index\": 0");
   EXPECT_EQ(must(DatasetSource::open(json))->render_size(), (Extent{12, 8}));
   const auto add = [&](const char* ratio, Extent size) {
@@ -983,9 +983,37 @@ TEST_F(DatasetTest, TakesTheRatioThatIsNamedOrTwoOrTheOnlyOne) {
   EXPECT_EQ(must(DatasetSource::open(json))->render_size(), (Extent{9, 6}));
   EXPECT_EQ(must(DatasetSource::open(json, 1.5))->render_size(), (Extent{12, 8}));
   add("x3", {6, 6});
+  // What it does not list was left by another sequence of its name.
+  EXPECT_EQ(error_text(DatasetSource::open(json, 3)),
+            json + ": has no pictures of ratio 3, it has x1.3, x1_5, x2");
+  replace_in(json, "\"x2_index\": 0", "\"x2_index\": 0, \"x3_index\": 0");
   EXPECT_EQ(
       error_text(DatasetSource::open(json, 3)),
       (root_ / "x3/color/0003/0000.exr").string() + ": has 6x6 pixels, 18x12 at ratio 3 makes 6x4");
+}
+
+TEST_F(DatasetTest, NothingOfAnEarlierSequenceStays) {
+  const std::string json = write_sequence();
+  EXPECT_EQ(must(must(DatasetSource::open(json))->frame(0, true)).truth.width, 18u);
+  must(write_text((root_ / "ground_truth/0003/note.txt").string(), "mine"));
+  SequenceInfo info{.number = 3, .render = {6, 4}, .output = {18, 12}};
+  DatasetWriter writer = must(DatasetWriter::create(root_.string(), info));
+  EXPECT_FALSE(fs::exists(json)) << "of what is half written there is no sequence";
+  EXPECT_TRUE(fs::exists(root_ / "ground_truth/0003/note.txt"));
+  SourceFrame frame;
+  frame.camera.fov_x = frame.camera.fov_y = 1;
+  frame.color = random_image({6, 4}, 3, 0, 1, 1);
+  frame.depth = random_image({6, 4}, 1, 0, 1, 1);
+  frame.motion = random_image({6, 4}, 2, 0, 1, 1);
+  must(writer.add(frame));
+  must(writer.finish());
+  // The older one had x1_5.
+  const auto source = must(DatasetSource::open(json));
+  EXPECT_EQ(source->render_size(), (Extent{6, 4}));
+  EXPECT_TRUE(must(source->frame(0, true)).truth.empty());
+  fs::remove_all(root_ / "x3");
+  EXPECT_EQ(error_text(DatasetSource::open(json)),
+            json + ": has no pictures of a ratio that \"UpscalingRatiosIndices\" names, but x1_5");
 }
 
 TEST_F(DatasetTest, ReadsWhatOtherToolsCapture) {

@@ -38,21 +38,45 @@ double ratio_of(std::string folder) {
 
 bool same_ratio(double a, double b) { return std::abs(a - b) < 1e-6; }
 
-/// The place of a ratio in lists by ratio, where the sequence tells it.
-Result<std::optional<size_t>> ratio_index(const Fields& root, double ratio) {
-  if (!root.has("UpscalingRatiosIndices")) return std::optional<size_t>();
+/// The ratios of a sequence, each with its place in lists by ratio; none where it does not tell them.
+Result<std::map<double, size_t>> ratio_indices(const Fields& root) {
+  std::map<double, size_t> places;
+  if (!root.has("UpscalingRatiosIndices")) return places;
   const Fields indices = root.child("UpscalingRatiosIndices");
   if (!indices.json().is_object())
     return bad_input(root.where(), "\"UpscalingRatiosIndices\" is no object");
   constexpr std::string_view kSuffix = "_index";
   for (const auto& [key, value] : indices.json().items()) {
-    if (!key.ends_with(kSuffix) ||
-        !same_ratio(ratio_of(key.substr(0, key.size() - kSuffix.size())), ratio))
-      continue;
+    if (!key.ends_with(kSuffix)) continue;
+    const double ratio = ratio_of(key.substr(0, key.size() - kSuffix.size()));
+    if (ratio == 0) continue;
     SHALE_TRY(const int64_t index, indices.integer(key.c_str(), 0, 63));
-    return std::optional(static_cast<size_t>(index));
+    places[ratio] = static_cast<size_t>(index);
   }
-  return std::optional<size_t>();
+  return places;
+}
+
+/// Takes a regular file away; of a link to one the link.
+Result<void> remove_file(const fs::path& path) {
+  std::error_code error;
+  if (!fs::is_regular_file(path, error)) return {};
+  fs::remove(path, error);
+  if (error) return io_error(path.string(), "cannot remove: {}", error.message());
+  return {};
+}
+
+/// The pictures that an earlier sequence left in the folder.
+Result<void> remove_pictures(const fs::path& folder) {
+  std::vector<fs::path> pictures;
+  std::error_code error;
+  fs::directory_iterator it(folder, error);
+  for (; !error && it != fs::directory_iterator(); it.increment(error))
+    if (it->path().extension() == ".exr" &&
+        it->path().stem().string().find_first_not_of("0123456789") == std::string::npos)
+      pictures.push_back(it->path());
+  if (error) return io_error(folder.string(), "cannot list: {}", error.message());
+  for (const fs::path& picture : pictures) SHALE_TRY_VOID(remove_file(picture));
+  return {};
 }
 
 Result<std::array<float, 2>> parse_jitter(const Fields& frame, std::optional<size_t> index,
@@ -151,10 +175,15 @@ Result<DatasetWriter> DatasetWriter::create(const std::string& root, const Seque
   if (info.ratio == 0) writer.info_.ratio = ratio_of_sizes(info.render, info.output);
   const std::string ratio = ratio_folder(writer.info_.ratio);
   const std::string name = number_text(info.number);
+  // First what makes an earlier sequence whole, then its pictures, which would pass for the new one's.
+  SHALE_TRY_VOID(remove_file(fs::path(root) / (name + ".json")));
   for (const std::string& folder :
        {std::string("ground_truth"), std::string("motion_gt"), std::string("depth_gt"),
-        ratio + "/color", ratio + "/depth", ratio + "/motion"})
-    SHALE_TRY_VOID(make_folder((fs::path(root) / folder / name).string()));
+        ratio + "/color", ratio + "/depth", ratio + "/motion"}) {
+    const fs::path of_sequence = fs::path(root) / folder / name;
+    SHALE_TRY_VOID(make_folder(of_sequence.string()));
+    SHALE_TRY_VOID(remove_pictures(of_sequence));
+  }
   return writer;
 }
 
@@ -224,8 +253,9 @@ Result<std::unique_ptr<DatasetSource>> DatasetSource::open(const std::string& js
   return source;
 }
 
-Result<void> DatasetSource::choose_ratio(double wanted) {
+Result<void> DatasetSource::choose_ratio(double wanted, const std::map<double, size_t>& own) {
   std::map<double, std::string> folders;  // those that hold this sequence
+  std::string others;                     // pictures of another one that had its name
   std::error_code error;
   fs::directory_iterator it(root_.empty() ? "." : root_, error);
   for (; !error && it != fs::directory_iterator(); it.increment(error)) {
@@ -233,12 +263,19 @@ Result<void> DatasetSource::choose_ratio(double wanted) {
     const double ratio = ratio_of(folder);
     std::error_code ignored;
     if (ratio == 0 || !fs::is_directory(it->path() / "color" / name_, ignored)) continue;
+    if (!own.empty() && !own.contains(ratio)) {
+      others += (others.empty() ? "" : ", ") + folder;
+      continue;
+    }
     const auto [known, is_new] = folders.emplace(ratio, folder);
     if (!is_new && folder == ratio_folder(ratio)) known->second = folder;
   }
   if (error) return io_error(root_, "cannot list: {}", error.message());
   std::string list;
   for (const auto& [ratio, folder] : folders) list += (list.empty() ? "" : ", ") + folder;
+  if (folders.empty() && !others.empty())
+    return bad_input("", "has no pictures of a ratio that \"UpscalingRatiosIndices\" names, but {}",
+                     others);
   if (folders.empty())
     return bad_input("", "has no pictures beside it, expected a folder such as x2/color/{}", name_);
   const double asked = wanted != 0 ? wanted : 2;
@@ -293,10 +330,13 @@ Result<void> DatasetSource::parse(const std::string& text, double ratio) {
   SHALE_TRY(const bool reverse, root.flag("ReverseZ", false));
   SHALE_TRY(const std::vector<Fields> frames, root.list("Frames", kMaxFrames));
   if (frames.empty()) return bad_input("sequence", "\"Frames\" is empty, expected at least 1");
-  SHALE_TRY_VOID(choose_ratio(ratio));
+  SHALE_TRY(const auto ratios, ratio_indices(root));
+  SHALE_TRY_VOID(choose_ratio(ratio, ratios));
   cameras_.resize(frames.size());
   SHALE_TRY_VOID(measure_pictures());
-  SHALE_TRY(const std::optional<size_t> index, ratio_index(root, ratio_));
+  const auto place = ratios.find(ratio_);
+  std::optional<size_t> index;
+  if (place != ratios.end()) index = place->second;
   for (size_t i = 0; i < cameras_.size(); ++i) {
     SHALE_TRY(cameras_[i], parse_frame_camera(frames[i], root, index, ratio_, render_));
     cameras_[i].reverse_depth = reverse;

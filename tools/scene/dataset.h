@@ -15,6 +15,7 @@
 // sequence. Source: NSS dataset specification, and the reader of Arm's neural graphics model gym.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -45,7 +46,7 @@ struct SequenceInfo {
 /// Writes one sequence frame by frame; the JSON comes last, so a sequence without it is incomplete.
 class DatasetWriter {
  public:
-  /// Creates the folders.
+  /// Creates the folders; of an earlier sequence of this number nothing stays in them.
   /// Errors: kIo.
   static Result<DatasetWriter> create(const std::string& root, const SequenceInfo& info);
 
@@ -68,7 +69,8 @@ class DatasetWriter {
 /// "Frames", from 0, are called n, whatever its own number; frames end where the pictures do.
 class DatasetSource : public FrameSource {
  public:
-  /// `json_path` is ROOT/NNNN.json. `ratio` 0 takes 2 if that is there, else the only one.
+  /// `json_path` is ROOT/NNNN.json. `ratio` 0 takes 2 if that is there, else the only one. Where the
+  /// sequence names its ratios, pictures of others are not its own.
   /// Errors: kIo; kBadInput naming file and field, or the ratios that are there.
   static Result<std::unique_ptr<DatasetSource>> open(const std::string& json_path,
                                                      double ratio = 0);
@@ -83,7 +85,8 @@ class DatasetSource : public FrameSource {
 
  private:
   DatasetSource() = default;
-  Result<void> choose_ratio(double wanted);
+  /// `own`: the ratios that the sequence says it has; none if it does not.
+  Result<void> choose_ratio(double wanted, const std::map<double, size_t>& own);
   Result<void> measure_pictures();
   Result<void> parse(const std::string& text, double ratio);
   std::string picture(const std::string& folder, uint32_t index) const;

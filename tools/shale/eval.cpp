@@ -1,4 +1,5 @@
 // shale eval: scenes or datasets through several sandwiches, measured against the truth.
+#include <algorithm>
 #include <filesystem>
 
 #include "ir/base/file.h"
@@ -43,6 +44,7 @@ class Methods {
   Result<std::vector<PlayedMethod>*> at(Extent render, Extent output) {
     if (render == render_ && output == output_) return &methods_;
     methods_.clear();
+    std::vector<std::string> names;
     CompileArguments compile = arguments_.compile;
     compile.ratio = 0;  // the frames have their sizes
     if (arguments_.margin > 0) compile.render.clear(), compile.output.clear();
@@ -54,12 +56,15 @@ class Methods {
                          sizes.first.width, sizes.first.height, sizes.second.width,
                          sizes.second.height, render.width, render.height, output.width,
                          output.height);
-      PlayedMethod method{sandwich.name, nullptr};
+      names.push_back(sandwich.name);
+      PlayedMethod method;
       SHALE_TRY(method.player,
                 Player::create(device_, sandwich.package,
                                arguments_.no_time ? Compile::kInBackground : Compile::kAtOnce));
       methods_.push_back(std::move(method));
     }
+    names = distinct_names(std::move(names), arguments_.methods);
+    for (size_t i = 0; i < names.size(); ++i) methods_[i].name = names[i];
     render_ = render;
     output_ = output;
     return &methods_;
@@ -82,6 +87,8 @@ Result<void> add_pictures(const Arguments& arguments, const std::string& scene,
     if (equals == 0 || equals == std::string::npos || equals + 1 == option.size())
       return bad_input("--pictures", "expected NAME=FOLDER, found \"{}\"", option);
     PlayedMethod method{option.substr(0, equals), nullptr};
+    if (std::ranges::find(methods, method.name, &PlayedMethod::name) != methods.end())
+      return bad_input("--pictures", "\"{}\" is the name of another method", method.name);
     fs::path folder = option.substr(equals + 1);
     std::error_code ignored;
     if (fs::is_directory(folder / scene, ignored)) {
@@ -95,6 +102,19 @@ Result<void> add_pictures(const Arguments& arguments, const std::string& scene,
     methods.push_back(std::move(method));
   }
   return {};
+}
+
+/// What the report calls the inputs, and folders of --pictures are called.
+Result<std::vector<std::string>> input_names(const Arguments& arguments) {
+  std::vector<std::string> names, files;
+  for (const std::string& input : arguments.inputs) {
+    files.push_back(input);
+    if (source_kind(input) == SourceKind::kDataset) {
+      SHALE_TRY(files.back(), sequence_file(input, arguments.source));
+    }
+    names.push_back(fs::path(files.back()).stem().string());
+  }
+  return distinct_names(std::move(names), files);
 }
 
 /// Times of generated pictures, in frames behind each frame; empty if none are asked for.
@@ -153,13 +173,15 @@ Result<int> eval(const Arguments& arguments) {
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("--json-file", arguments.json_file));
   SHALE_TRY_VOID(outputs.claim("--page", arguments.page));
+  SHALE_TRY(const std::vector<std::string> names, input_names(arguments));
   SHALE_TRY(ToolDevice device, ToolDevice::open(arguments.device));
   EvalReport report;
   report.title = "shale eval";
   report.device = device.context().caps.name;
   {
     Methods methods(arguments, device);
-    for (const std::string& input : arguments.inputs) {
+    for (size_t i = 0; i < names.size(); ++i) {
+      const std::string& input = arguments.inputs[i];
       std::unique_ptr<FrameSource> source;
       SceneSource* scene_source = nullptr;
       std::unique_ptr<SceneSource> with_margin;
@@ -195,7 +217,7 @@ Result<int> eval(const Arguments& arguments) {
       const FrameSource& played = with_margin ? *with_margin : *source;
       SHALE_TRY(std::vector<PlayedMethod>* const ready,
                 methods.at(played.render_size(), played.output_size()));
-      SHALE_TRY_VOID(add_pictures(arguments, source->name(), *ready));
+      SHALE_TRY_VOID(add_pictures(arguments, names[i], *ready));
       report.methods.clear();
       for (const PlayedMethod& method : *ready) report.methods.push_back(method.name);
       const EvaluateOptions options{.first_frame = arguments.source.first,
@@ -208,6 +230,7 @@ Result<int> eval(const Arguments& arguments) {
           times.empty() ? evaluate_scene(*source, *ready, options)
                         : evaluate_generated(*scene_source, *ready, times, options, report.methods);
       if (!scene) return in_file(input, scene.error());
+      scene->name = names[i];
       report.scenes.push_back(*std::move(scene));
     }
   }
@@ -235,7 +258,7 @@ Action add_eval(CLI::App& app) {
          "--pictures", arguments->pictures,
          "NAME=FOLDER, again for each: pictures that another program made of the frames, in "
          "order of their names (.png; .exr is linear); of several inputs, in folders called as "
-         "they are")
+         "the table calls these")
       ->allow_extra_args(false);
   app.add_option("--page", arguments->page, "write a page to look at (.html)");
   app.add_option("--json-file", arguments->json_file, "write the figures as JSON");

@@ -97,4 +97,28 @@ std::string FileNames::claim(const std::string& name) {
   return candidate;
 }
 
+std::vector<std::string> distinct_names(std::vector<std::string> names,
+                                        const std::vector<std::string>& paths) {
+  std::vector<fs::path> above;
+  for (const std::string& path : paths)
+    above.push_back(fs::absolute(path + "/").lexically_normal().parent_path().parent_path());
+  for (bool changed = true; changed;) {
+    changed = false;
+    std::map<std::string, std::set<fs::path>> places;
+    for (size_t i = 0; i < names.size(); ++i) places[names[i]].insert(above[i]);
+    for (size_t i = 0; i < names.size(); ++i) {
+      if (places[names[i]].size() < 2 || !above[i].has_relative_path()) continue;
+      names[i] = (above[i].filename() / names[i]).string();
+      above[i] = above[i].parent_path();
+      changed = true;
+    }
+  }
+  std::set<std::string> taken;
+  for (std::string& name : names) {
+    const std::string own = name;
+    for (uint32_t i = 2; !taken.insert(name).second; ++i) name = fmt::format("{}-{}", own, i);
+  }
+  return names;
+}
+
 }  // namespace shale

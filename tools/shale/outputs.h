@@ -52,4 +52,9 @@ class FileNames {
   std::set<std::string> taken_;
 };
 
+/// What lists call `names`, each that of the file or folder at the path: where two are equal, with as many of
+/// the folders above them as it takes to tell them apart; the same path twice gets a number.
+std::vector<std::string> distinct_names(std::vector<std::string> names,
+                                        const std::vector<std::string>& paths);
+
 }  // namespace shale

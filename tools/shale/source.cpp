@@ -58,17 +58,19 @@ void SourceArguments::add_to(CLI::App& app) {
       "model's frame.json says)");
 }
 
+Result<std::string> sequence_file(const std::string& path, const SourceArguments& arguments) {
+  std::error_code ignored;
+  if (!fs::is_directory(path, ignored)) return path;
+  SHALE_TRY(const std::vector<std::string> files, dataset_sequences(path));
+  if (arguments.sequence >= files.size())
+    return bad_input(path, "has {} sequences, there is no number {}", files.size(),
+                     arguments.sequence);
+  return files[arguments.sequence];
+}
+
 Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,
                                                   const SourceArguments& arguments) {
-  std::string file = path;
-  std::error_code ignored;
-  if (fs::is_directory(path, ignored)) {
-    SHALE_TRY(const std::vector<std::string> files, dataset_sequences(path));
-    if (arguments.sequence >= files.size())
-      return bad_input(path, "has {} sequences, there is no number {}", files.size(),
-                       arguments.sequence);
-    file = files[arguments.sequence];
-  }
+  SHALE_TRY(const std::string file, sequence_file(path, arguments));
   SHALE_TRY(std::unique_ptr<FrameSource> source, DatasetSource::open(file, arguments.ratio));
   const uint32_t all = source->frame_count();
   if (arguments.first >= all)

@@ -31,6 +31,10 @@ struct SourceArguments {
   void add_to(CLI::App& app);
 };
 
+/// The file of the sequence that the arguments choose; a file is one itself.
+/// Errors: kIo; kBadInput if there is no such sequence.
+Result<std::string> sequence_file(const std::string& path, const SourceArguments& arguments);
+
 /// The frames of a dataset.
 /// Errors: kIo; kBadInput if there is no such sequence or frame.
 Result<std::unique_ptr<FrameSource>> open_dataset(const std::string& path,

@@ -113,10 +113,17 @@ Result<std::vector<Contender>> contenders_of(const Arguments& arguments) {
       }
       if (is_baseline) break;
     }
+  std::vector<std::string> of_models;
+  for (const std::string& path : arguments.models)
+    of_models.push_back(std::ranges::find(contenders, path, &Contender::path)->files.name);
+  of_models = distinct_names(std::move(of_models), arguments.models);
   std::set<std::string> names;
-  for (const Contender& contender : contenders)
+  for (Contender& contender : contenders) {
+    const auto model = std::ranges::find(arguments.models, contender.path);
+    contender.files.name = of_models[static_cast<size_t>(model - arguments.models.begin())];
     if (!names.insert(contender.name()).second)
       return bad_input("--models", "\"{}\" is given twice", contender.name());
+  }
   return contenders;
 }
 
@@ -526,8 +533,10 @@ Result<int> trade(const Arguments& arguments) {
             {"slacks_db", arguments.slacks_db},
             {"left_out", Json::array()},
             {"scenes", Json::array()}};
-  for (const SceneFrames& scene : scenes)
-    json["scenes"].push_back({{"name", scene.scene.name}, {"methods", Json::array()}});
+  std::vector<std::string> scene_names;
+  for (const SceneFrames& scene : scenes) scene_names.push_back(scene.scene.name);
+  for (const std::string& name : distinct_names(std::move(scene_names), arguments.scenes))
+    json["scenes"].push_back({{"name", name}, {"methods", Json::array()}});
   size_t done = 0, all = 0;
   for (const double scale : arguments.scales)
     for (const Contender& contender : contenders)

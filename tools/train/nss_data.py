@@ -73,10 +73,15 @@ def _picture(path: Path, names: tuple[str, ...], kind) -> np.ndarray:
 
 
 def ratio_folder(root: Path, name: str) -> str:
-    """Folder of the rendered pictures of a clip. Errors: ValueError when there is none."""
+    """Folder of the rendered pictures of a clip. Errors: OSError, ValueError when there is none."""
     found = sorted(path.parent.parent.name for path in root.glob(f"x*/color/{name}"))
+    sequence = json.loads((root / f"{name}.json").read_text())
+    own = sequence.get("UpscalingRatiosIndices") if isinstance(sequence, dict) else None
+    if own:  # pictures of other ratios were left by another clip of its name
+        own = [key.replace(".", "_") for key in own]
+        found = [folder for folder in found if folder.replace(".", "_") + "_index" in own]
     if not found:
-        raise ValueError(f"{root}: no pictures of clip {name} in x*/color/{name}")
+        raise ValueError(f"{root}: no pictures of clip {name} in x*/color/{name}, of a ratio that its file names")
     return "x2" if "x2" in found else found[0]
 
 

@@ -810,6 +810,12 @@ class Files(unittest.TestCase):
             (root / "motion_gt" / "0000" / "0002.exr").unlink()
             with self.assertRaisesRegex(ValueError, "2 pictures for 3 frames"):
                 nss_data.load_clip(root, "0000")
+            # x2 was left by another clip where the file names x3.
+            (root / "0000.json").write_text(json.dumps({"UpscalingRatiosIndices": {"x3_index": 0}, "Frames": frames}))
+            with self.assertRaisesRegex(ValueError, "no pictures of clip 0000"):
+                nss_data.load_clip(root, "0000")
+            (root / "x3/color/0000").mkdir(parents=True)
+            self.assertEqual(nss_data.ratio_folder(root, "0000"), "x3")
 
 
 if __name__ == "__main__":
