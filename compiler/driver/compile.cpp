@@ -349,6 +349,7 @@ Result<Prepared> plan_all(std::vector<LoadedGraph> loaded, const CompileOptions&
     all.graphs.push_back(std::move(loaded[i].graph));
   }
   if (options.frame) SHALE_TRY_VOID(check_sized_tensors(all.graphs, files, *options.frame));
+  std::map<std::string, size_t> refused;  // choices, by how many targets
   for (const std::string& target : options.targets) {
     SHALE_TRY(const DeviceProfile profile, profile_of(target, options));
     std::vector<PlannedGraph> planned;
@@ -359,6 +360,12 @@ Result<Prepared> plan_all(std::vector<LoadedGraph> loaded, const CompileOptions&
       selection.add(graph.selection);
       planned.push_back(std::move(graph));
     }
+    for (const auto& [name, why] : selection.refused)
+      if (++refused[name] == options.targets.size()) return bad_input("--choices", "{}", why);
+    if (!selection.refused.empty())
+      compiled.warnings.push_back(
+          fmt::format("target {}: {} of the choices are left to selection, {}", target,
+                      selection.refused.size(), selection.refused.begin()->second));
     compiled.selections.push_back(std::move(selection));
     SHALE_TRY(Plan plan, plan_target(planned, profile, options, all.weights));
     if (options.needs && !plan.variant.promise && all.plans.empty())

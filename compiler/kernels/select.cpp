@@ -38,17 +38,18 @@ bool is_allowed(const KernelFamily& family, const SelectOptions& options) {
 
 /// The families among which a group's is chosen, in table order; one where it is asked for by name.
 Result<std::vector<Candidate>> candidates(const GroupProblem& problem, const DeviceProfile& profile,
-                                          const SelectOptions& options) {
+                                          const SelectOptions& options,
+                                          std::map<std::string, std::string>& refused) {
   const auto one = [&](const KernelFamily& family) {
     return std::vector<Candidate>{candidate(family, problem, profile)};
   };
   const std::string& name = problem.graph->value(problem.group.result).name;
   if (const auto choice = options.choices.find(name); choice != options.choices.end()) {
     const KernelFamily* family = find_kernel(choice->second);
-    if (!family || !family->supports(problem, profile))
-      return bad_input("--choices", "\"{}\" cannot make \"{}\" for {}", choice->second, name,
-                       profile.name);
-    return one(*family);
+    if (!family) return bad_input("--choices", "\"{}\" is no kernel family", choice->second);
+    if (family->supports(problem, profile)) return one(*family);
+    refused[name] =
+        fmt::format("\"{}\" cannot make \"{}\" for {}", choice->second, name, profile.name);
   }
   const KernelFamily* preferred = options.prefer.empty() ? nullptr : find_kernel(options.prefer);
   if (preferred && preferred->supports(problem, profile)) return one(*preferred);
@@ -96,6 +97,7 @@ void Selection::add(const Selection& other) {
   run_us += other.run_us;
   driver_us += other.driver_us;
   start_us += other.start_us;
+  refused.insert(other.refused.begin(), other.refused.end());
 }
 
 Result<Selection> select_kernels(std::span<const GroupProblem> problems,
@@ -103,9 +105,11 @@ Result<Selection> select_kernels(std::span<const GroupProblem> problems,
   const double runs = std::max(options.expected_runs, 1.0);
   std::vector<std::vector<Candidate>> choices;
   std::vector<const Candidate*> chosen;
+  Selection selection;
   int64_t products = 0;
   for (const GroupProblem& problem : problems) {
-    SHALE_TRY(std::vector<Candidate> found, candidates(problem, profile, options));
+    SHALE_TRY(std::vector<Candidate> found,
+              candidates(problem, profile, options, selection.refused));
     choices.push_back(std::move(found));
   }
   for (const std::vector<Candidate>& group : choices) {
@@ -132,7 +136,6 @@ Result<Selection> select_kernels(std::span<const GroupProblem> problems,
     products += next->products - chosen[at]->products;
     chosen[at] = next;
   }
-  Selection selection;
   selection.products = products;
   for (const Candidate* each : chosen) {
     selection.families.push_back(each->family);

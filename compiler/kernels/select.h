@@ -22,7 +22,7 @@ struct SelectOptions {
   /// Families to choose from; empty is all. The generic kernel serves where none of them can.
   std::vector<std::string> allowed = {};
   std::string prefer = {};  ///< family of every group that it supports and `choices` leaves
-  /// Family by the name of a group's result.
+  /// Family by the name of a group's result, where the profile can run it.
   std::map<std::string, std::string> choices = {};
   double start_us = kStartUs;  ///< in place of kStartUs
 };
@@ -31,6 +31,8 @@ struct Selection {
   std::vector<const KernelFamily*> families;  ///< of each group
   /// Of each group, the family that serves until the driver has compiled its own (StartForm); null where that is soon.
   std::vector<const KernelFamily*> start_families;
+  /// By the group's name, why its choice was not followed: the profile cannot run that family.
+  std::map<std::string, std::string> refused;
   int64_t products = 0;  ///< with a weight in the code, of all groups
   double run_us = 0;     ///< predicted for one run of the network
   double driver_us = 0;  ///< predicted for the driver's compilation, all of it on one thread
@@ -42,7 +44,7 @@ struct Selection {
 
 /// The families of least driver time + expected runs x run time, for the network as a whole: its
 /// code stays within the profile's `most_products`, at the least loss of time; table order breaks ties.
-/// Errors: kBadInput for a choice that is no family or cannot make its group.
+/// Errors: kBadInput for a choice that is no family.
 Result<Selection> select_kernels(std::span<const GroupProblem> problems,
                                  const DeviceProfile& profile, const SelectOptions& options);
 

@@ -347,9 +347,29 @@ TEST_F(Cli, WhatIsOfAnotherTypeOrOutOfRangeIsRefused) {
       "scene " + scene + " " + scene + " -o " + file("ds") + " --number 9999 --frames 1" + render,
       "2 sequences from 9999 on do not end at 9999");
   EXPECT_EQ(shale("scene " + scene + " -o " + file("ds") + " --frames 0").exit, 2);
+  for (const char* crop :
+       {"4294967296,0,8,8", "-1,0,8,8", "0,0,8", "0,0,8,8,8", "0,0,8,8x", "0, 0,8,8"})
+    refused("scene " + scene + " -o " + file("ds") + render + " --crop '" + crop + "'",
+            "is not of the form X,Y,WIDTH,HEIGHT");
+  // Whole numbers have neither a sign nor another base, nor more than they can hold.
+  for (const char* number : {"-1", "0x10", "1x", " 1", "18446744073709551616"}) {
+    const std::string quoted = std::string("'") + number + "'";
+    for (const std::string& arguments :
+         {"run " + small + " --random " + quoted, "run " + small + " --random 1 --repeat " + quoted,
+          "compare " + small + " " + small + " --random " + quoted,
+          "scene " + scene + " -o " + file("ds") + " --seed " + quoted,
+          "play x -i y -o z --crop " + quoted + ",0,8,8"})
+      EXPECT_EQ(shale(arguments).exit, 2) << arguments;
+  }
+  EXPECT_EQ(shale("dump " + small + " --variant 4294967296").exit, 2);
+  EXPECT_EQ(shale("compare " + small + " " + small + " --random 010").exit, 0);
   EXPECT_FALSE(fs::exists(file("ds")));
   const std::string play = "play " + kModels + "/baselines/bilinear -i " + scene + " -o " +
                            file("out") + " --frames 1" + render;
+  fs::create_directory(file("dumped"));
+  write(file("dumped/0000.color.npy"), "a picture");
+  refused(play + " --reference " + file("dumped/0000.color.npy") + " --dump " + file("dumped"),
+          "is the file of the input");
   refused(play + " --crop 90,0,8,8", "8x8 pixels at 90,0 do not lie in the result of 96x64");
   refused(play + " --crop 0,0,2048,8 --zoom 16", "a side of 2048 is outside 1..512");
   // One folder of a suite that is wrong is one failure.
@@ -418,7 +438,11 @@ TEST_F(Cli, ConvertNamesWhatItCannotDo) {
   ASSERT_EQ(shale("compile " + file("small.tir") + " --kernels generic -o " + file("p.shale")).exit,
             0);
   ASSERT_EQ(shale("convert " + file("small.tir") + " -o " + file("s.vgf")).exit, 0);
+  write(file("wrong.tir"),
+        "graph main {\n  input %x : i8[4]\n  %y = bitwise_not %x : i8[5]\n  return %y\n}\n");
   const std::pair<std::string, std::string> refused[] = {
+      {"wrong.tir -o " + file("out.tosa"), "the result is declared as i8[5], expected i8[4]"},
+      {"wrong.tir -o " + file("out.tir"), "the result is declared as i8[5], expected i8[4]"},
       {"small.tir -o " + file("out.bin"),
        "--to: error: \"bin\" is no format to write, expected one of: tosa, tir, vgf, spv"},
       {"small.tir -o " + file("out"), "--to: error: \"\" is no format to write"},
@@ -881,9 +905,18 @@ TEST_F(Cli, TuneWritesChoicesThatCompileObeys) {
   const Outcome tuned = shale("tune " + file("small.tir") + " -o " + file("c.json") +
                               " --repeat 3 --without generic");
   ASSERT_EQ(tuned.exit, 0) << tuned.text;
+  EXPECT_EQ(shale("tune " + file("small.tir") + " -o " + file("x.json") + " --without nope").exit,
+            1);
   nlohmann::json choices = nlohmann::json::parse(read(file("c.json")));
   EXPECT_EQ(choices["schema"], "shale-choices/1");
   ASSERT_TRUE(choices["choices"].contains("y")) << choices;
+  // Those of one device serve the other targets of a package as far as these can follow.
+  const Outcome all = shale("compile " + file("small.tir") + " -o " + file("all.shale") +
+                            " --choices " + file("c.json"));
+  EXPECT_EQ(all.exit, 0) << all.text;
+  EXPECT_NE(all.text.find("target generic-gpu: 1 of the choices are left to selection"),
+            std::string::npos)
+      << all.text;
   // The choice is obeyed, whatever selection would take.
   for (const char* kernel : {"conv2d_s8_i32", "generic"}) {
     choices["choices"]["y"] = kernel;

@@ -7,6 +7,7 @@
 #include "ir/base/file.h"
 #include "ir/binary/tosa.h"
 #include "ir/text/text.h"
+#include "ir/verify/verify.h"
 #include "tools/shale/command.h"
 #include "tools/shale/outputs.h"
 
@@ -79,6 +80,7 @@ Result<std::vector<uint8_t>> convert_model(const Arguments& arguments, const For
     return bad_input("--variant, --weights-as-inputs", "the file is a model, not a package");
   SHALE_TRY(const ImportOptions import, arguments.import.options());
   SHALE_TRY(const Graph graph, import_graph(bytes, import));
+  SHALE_TRY_VOID(verify(graph, OpenSizes::kAllowed));
   json["from"] = model_format(bytes);
   json["operators"] = graph.nodes.size();
   return format.write(graph);

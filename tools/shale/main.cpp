@@ -1,5 +1,6 @@
 // tools/shale/main.cpp -- the one program: parses the command line and runs a subcommand.
 #include <cerrno>
+#include <charconv>
 #include <cstring>
 #include <filesystem>
 #include <iterator>
@@ -19,6 +20,24 @@ constexpr Command kCommands[] = {
 
 int exit_code(const Error& error) {
   return error.code == ErrorCode::kDevice ? kNoDevice : kRefused;
+}
+
+/// Whole numbers are decimal digits alone: the parser's library takes a sign for a large number, a leading
+/// zero for octal, and what is too large for the largest there is.
+void take_digits_alone(CLI::App& command) {
+  const CLI::Validator whole(
+      [](std::string& text) {
+        uint64_t value = 0;
+        const char* const end = text.data() + text.size();
+        const auto [at, error] = std::from_chars(text.data(), end, value);
+        if (error != std::errc() || at != end)
+          return fmt::format("\"{}\" is no whole number from 0 to {}", text, UINT64_MAX);
+        text = std::to_string(value);
+        return std::string();
+      },
+      "");
+  for (CLI::Option* option : command.get_options())
+    if (option->get_type_name().starts_with("UINT")) option->transform(whole);
 }
 
 /// What the parser has to say: help on standard output, else one line and the usage's exit code.
@@ -43,8 +62,11 @@ int run(int argc, char** argv) {
       "Exit codes: 0 done, 1 refused input or failed check, 2 usage, 3 no usable device, "
       "130 interrupted");
   std::vector<Action> actions;
-  for (const Command& command : kCommands)
-    actions.push_back(command.add(*app.add_subcommand(command.name, command.help)));
+  for (const Command& command : kCommands) {
+    CLI::App& own = *app.add_subcommand(command.name, command.help);
+    actions.push_back(command.add(own));
+    take_digits_alone(own);
+  }
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -107,12 +107,13 @@ Result<Picture> comparison(const Arguments& arguments, const Picture& input,
 }
 
 /// All images, words as int32, and all tensors, after a shown picture: DIR/0000.NAME.npy.
-Result<void> dump(const Player& player, const std::string& folder, size_t shown) {
+Result<void> dump(const Player& player, const std::string& folder, size_t shown, Outputs& outputs) {
   FileNames names;
   for (const Resource& resource : player.variant().resources) {
     const std::string path =
         (fs::path(folder) / fmt::format("{:04}.{}.npy", shown, names.claim(resource.name)))
             .string();
+    SHALE_TRY_VOID(outputs.claim("--dump", path));
     if (resource.format == ImageFormat::kR32Uint && is_image(resource.category)) {
       SHALE_TRY(const Tensor words, player.read_words(resource.name));
       SHALE_TRY_VOID(write_npy(path, words));
@@ -399,7 +400,7 @@ Result<int> play(const Arguments& arguments) {
       };
       /// What --dump and --check ask for, of the picture that was just made.
       const auto look_inside = [&](size_t number, Json& into) -> Result<void> {
-        if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, number));
+        if (!arguments.dump.empty()) SHALE_TRY_VOID(dump(*player, arguments.dump, number, outputs));
         if (!arguments.check || !player->ran_network()) return {};
         SHALE_TRY(const std::optional<std::string> difference,
                   network_difference(*player, sandwich.graphs));

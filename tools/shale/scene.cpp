@@ -1,4 +1,5 @@
 // shale scene: renders scenes into a dataset on disk.
+#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
@@ -40,21 +41,24 @@ Result<Extent> extent_of(const std::string& option, const std::string& text) {
 
 Result<Crop> parse_crop(const std::string& text) {
   Crop crop;
-  char end = 0;
-  if (std::sscanf(text.c_str(), "%u,%u,%u,%u%c", &crop.x, &crop.y, &crop.width, &crop.height,
-                  &end) != 4)
-    return bad_input("--crop", "\"{}\" is not of the form X,Y,WIDTH,HEIGHT", text);
+  const char* at = text.data();
+  const char* const end = at + text.size();
+  for (uint32_t* number : {&crop.x, &crop.y, &crop.width, &crop.height}) {
+    const auto [next, error] = std::from_chars(at, end, *number);
+    const bool is_last = number == &crop.height;
+    if (error != std::errc() || (is_last ? next != end : next == end || *next != ','))
+      return bad_input("--crop", "\"{}\" is not of the form X,Y,WIDTH,HEIGHT", text);
+    at = is_last ? next : next + 1;
+  }
   return crop;
 }
 
 /// The clips of one scene that the command line asks for.
-Result<std::vector<SceneClip>> clips_of(const Arguments& arguments, const Scene& scene,
-                                        uint32_t scene_index, Extent render, Extent output) {
+Result<std::vector<SceneClip>> clips_of(const Arguments& arguments, const std::vector<Crop>& crops,
+                                        const Scene& scene, uint32_t scene_index, Extent render,
+                                        Extent output) {
   std::vector<SceneClip> clips;
-  for (const std::string& text : arguments.crops) {
-    SHALE_TRY(const Crop crop, parse_crop(text));
-    clips.push_back({arguments.first, arguments.frames, crop});
-  }
+  for (const Crop& crop : crops) clips.push_back({arguments.first, arguments.frames, crop});
   if (arguments.random_crops > 0) {
     const uint32_t frames = frames_at_rate(scene, arguments.frame_rate);
     const uint32_t length = std::min(arguments.clip_length, frames);
@@ -176,6 +180,10 @@ Result<int> run(const Arguments& arguments) {
     SHALE_TRY(Scene scene, load_scene(path));
     scenes.push_back(std::move(scene));
   }
+  std::vector<Crop> crops;
+  for (const std::string& text : arguments.crops) {
+    SHALE_TRY(crops.emplace_back(), parse_crop(text));
+  }
   SHALE_TRY_VOID(make_folder(arguments.output));
   Outputs outputs(arguments.json);
   outputs.keep(arguments.scenes);
@@ -192,7 +200,7 @@ Result<int> run(const Arguments& arguments) {
     Progress progress("rendering");
     for (uint32_t s = 0; s < scenes.size(); ++s) {
       SHALE_TRY(const std::vector<SceneClip> clips,
-                clips_of(arguments, scenes[s], s, render, output));
+                clips_of(arguments, crops, scenes[s], s, render, output));
       SceneOptions options;
       options.render = render;
       options.output = output;

@@ -55,6 +55,8 @@ Result<int> run(const Arguments& arguments) {
   outputs.keep({arguments.model});
   outputs.keep(arguments.compile.files());
   SHALE_TRY_VOID(outputs.claim("-o", arguments.output));
+  for (const std::string& kernel : arguments.without)
+    if (!find_kernel(kernel)) return bad_input("--without", "\"{}\" is no kernel family", kernel);
   SHALE_TRY(ModelFiles model,
             load_model(arguments.model, arguments.compile.frame, arguments.compile.precision));
   SHALE_TRY(const CompileOptions options, arguments.compile.options(model));
