@@ -22,7 +22,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools" / "train"))
-from tosa_writer import GraphWriter, Tensor, write_atomically  # noqa: E402
+from files import write_atomically  # noqa: E402
+from tosa_writer import GraphWriter, Tensor  # noqa: E402
 
 #: Of activations behind a rectifier.
 ZERO_POINT = -128

@@ -34,8 +34,7 @@ class Qrisp:
 
     def __init__(self, model: qrisp.Qrisp, record: dict):
         self.model, self.offsets = model, qrisp.jitter_sequence(record.get("sets", 0))
-        self.options = qrisp_passes.Options(record.get("dilation", True), record.get("blending", True),
-                                            record.get("cubic", False))
+        self.options = qrisp_passes.Options.of(record)
         self.state: qrisp_passes.State | None = None
 
     def __call__(self, frame, cut: bool) -> torch.Tensor:

@@ -22,7 +22,7 @@ import numpy as np
 
 import mnss
 import precisions
-from tosa_writer import write_atomically
+from files import save_array, write_atomically
 
 SHADERS = "../../shaders/frame/mnss"
 BETA = 0.15
@@ -134,8 +134,8 @@ def export(weights: Path, out: Path, shaders: str = SHADERS, real: Path | None =
         text = json.dumps(frame_description(model, sharpen, shaders), indent=1)
         write_atomically(out / name, (text + "\n").encode())
     codes = golden_input()
-    np.save(out / "golden" / "input.npy", codes)
-    np.save(out / "golden" / f"{mnss.OUTPUT}.npy", network.run(codes))
+    save_array(out / "golden" / "input.npy", codes)
+    save_array(out / "golden" / f"{mnss.OUTPUT}.npy", network.run(codes))
     return model
 
 

@@ -23,7 +23,7 @@ import torch
 
 import nfru
 import precisions
-from tosa_writer import write_atomically
+from files import save_array, write_atomically
 
 SHADERS = "../../shaders/frame"
 #: Levels of the flow's pyramid: 0 has the output's size, each next one half of it.
@@ -180,8 +180,8 @@ def export(weights: Path, out: Path, shaders: str = SHADERS) -> nfru.Nfru:
     write_atomically(out / "quantization.json", precisions.quantization_json(nfru.tensor_scales(model)))
     write_atomically(out / "frame.json", as_bytes(frame_description(nfru.scales(model)[nfru.OUTPUT][0], shaders)))
     codes = golden_input()
-    np.save(out / "golden" / "input.npy", codes.numpy())
-    np.save(out / "golden" / f"{nfru.OUTPUT}.npy", network.run(codes).numpy())
+    save_array(out / "golden" / "input.npy", codes.numpy())
+    save_array(out / "golden" / f"{nfru.OUTPUT}.npy", network.run(codes).numpy())
     return model
 
 

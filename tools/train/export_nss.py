@@ -22,7 +22,7 @@ import torch
 
 import nss
 import precisions
-from tosa_writer import write_atomically
+from files import save_array, write_atomically
 
 GOLDEN_SIZE = 64
 
@@ -54,9 +54,9 @@ def export(weights: list[Path], out: Path) -> nss.Int8Nss:
     scales = nss.tensor_scales(model, network)
     write_atomically(out / "quantization.json", precisions.quantization_json(scales))
     codes = golden_input()
-    np.save(out / "golden" / "input.npy", codes.numpy())
+    save_array(out / "golden" / "input.npy", codes.numpy())
     for name, value in network.run(codes).items():
-        np.save(out / "golden" / f"{name}.npy", value.numpy())
+        save_array(out / "golden" / f"{name}.npy", value.numpy())
     return network
 
 

@@ -23,7 +23,8 @@ import torch
 
 import precisions
 import qrisp
-from tosa_writer import write_atomically
+import qrisp_passes
+from files import save_array, write_atomically
 
 SHADERS = "../../shaders/frame/qrisp"
 GOLDEN_SIZE = (16, 24)
@@ -45,8 +46,8 @@ def set_file(precision: str, index: int) -> str:
     return name if index == 0 else "sets/" + name.replace("model", f"{index:02}")
 
 
-def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SHADERS, cubic: bool = False) -> dict:
-    """frame.json of a network with a weight set for each offset; cubic: as in qrisp_passes.Options."""
+def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str, options: qrisp_passes.Options) -> dict:
+    """frame.json of a network with a weight set for each offset."""
 
     def image(name: str, role: str, form: str, size, **more) -> dict:
         return {"name": name, "role": role, "format": form, "size": size, **more}
@@ -56,7 +57,11 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
                 **({"bounds": bounds} if bounds else {})}
 
     past = [{"of": name, "frames_back": 1} for name in ("history", "features")]
-    rows = {name: {"scale": step, "zero_point": zero} for name, (step, zero) in qrisp.OUTPUT_SCALES.items()}
+    rows = {name: {"scale": step, "zero_point": zero} for name, (step, zero) in qrisp.output_scales(options.corrects).items()}
+
+    def defined(name: str, wanted: bool) -> dict:
+        return {"defines": {name: 1}} if wanted else {}
+
     step, zero = qrisp.INPUT_SCALE
     files = [set_file("int8", index) for index in range(len(offsets))]
     output = [qrisp.OUTPUT[1], qrisp.OUTPUT[0]]
@@ -92,11 +97,11 @@ def frame_description(scale: int, offsets: list[qrisp.Jitter], shaders: str = SH
         "passes": [
             shader("dilate", "moved", ["depth", "motion"], ["moved"]),
             shader("pre", {"of": "render", "divide": [2, 1], "multiple": 2}, ["color", "depth", "moved", *past],
-                   ["input", "warped"], workgroup=[32, 4], **({"defines": {"CUBIC": 1}} if cubic else {}),
+                   ["input", "warped"], workgroup=[32, 4], **defined("CUBIC", options.cubic),
                    bounds={"input": [*[[0, 1]] * 6, *["history"] * 3 * scale**2, *["features"] * scale**2]}),
             {"graph": files if len(files) > 1 else files[0]},
             shader("post", "output", [*qrisp.HEADS, "warped", "color"], ["history", "features", "output"], workgroup=[32, 4],
-                   bounds={"history": [0, 1], "features": "feature"}),
+                   **defined("CORRECTS", options.corrects), bounds={"history": [0, 1], "features": "feature"}),
         ],
         "views": [
             {"title": "current colour", "of": "input", "first": 0, "channels": 3},
@@ -136,11 +141,11 @@ def export(weights: Path, out: Path, count: int, shaders: str = SHADERS, real: P
         for name, value in network.run(codes, index).items():
             results[name].append(value.numpy())
     write_atomically(out / "quantization.json", precisions.quantization_json(qrisp.tensor_scales(model)))
-    text = json.dumps(frame_description(model.scale, offsets, shaders, record.get("cubic", False)), indent=1)
+    text = json.dumps(frame_description(model.scale, offsets, shaders, qrisp_passes.Options.of(record)), indent=1)
     write_atomically(out / "frame.json", (text + "\n").encode())
-    np.save(out / "golden" / "input.npy", codes.numpy())
+    save_array(out / "golden" / "input.npy", codes.numpy())
     for name, values in results.items():
-        np.save(out / "golden" / f"{name}.npy", np.concatenate(values))
+        save_array(out / "golden" / f"{name}.npy", np.concatenate(values))
     return network
 
 

@@ -23,7 +23,8 @@ import precisions
 import quantize
 import shapes
 import srpo
-from tosa_writer import GraphWriter, write_atomically
+from files import save_array, write_atomically
+from tosa_writer import GraphWriter
 
 GRAPH_SIZE = 64
 
@@ -145,8 +146,8 @@ def export(weights: Path, out: Path) -> quantize.Int8Srpo:
     write_atomically(out / "quantization.json", precisions.quantization_json(tensor_scales(network)))
     text = json.dumps(frame_description(network), indent=1)
     write_atomically(out / "frame.json", (text + "\n").encode())
-    np.save(out / "golden" / "input.npy", golden)
-    np.save(out / "golden" / "offsets.npy", network.run(golden))
+    save_array(out / "golden" / "input.npy", golden)
+    save_array(out / "golden" / "offsets.npy", network.run(golden))
     return network
 
 

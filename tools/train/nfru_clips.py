@@ -22,8 +22,8 @@ import sys
 from pathlib import Path
 
 import nss_clips
+from files import write_atomically
 from nss_clips import FOCAL, VARIED_FRAMES, View
-from tosa_writer import write_atomically
 
 SIZE = 256
 FRAMES = 6

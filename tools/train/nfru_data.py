@@ -6,7 +6,6 @@ Nothing of it depends on the weights, so it is made once, of the clips of `nfru_
 
 from __future__ import annotations
 
-import os
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import torch
 
 import nfru_passes as passes
 import nss_data
+import training
 from exr import read_exr
 
 #: Any sandwich of the passes will do: what is read does not depend on how samples are weighed.
@@ -75,9 +75,7 @@ def load_pairs(root: Path, program: Path | None, report=lambda line: None) -> li
             except subprocess.CalledProcessError as error:
                 raise ValueError(f"{root}: clip {name}: {program} exits with {error.returncode}") from None
             kept.parent.mkdir(exist_ok=True)
-            temporary = kept.with_suffix(f".{os.getpid()}")
-            torch.save(pairs, temporary)
-            temporary.replace(kept)
+            training.save_atomically(pairs, kept)
         if kept.exists():
             out.append(torch.load(kept, weights_only=False))
     if not out:

@@ -22,7 +22,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from tosa_writer import write_atomically
+from files import write_atomically
+
 
 SIZE = 256
 FRAMES = 32

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 import torch
 
 import nss_passes as passes
+import training
 from exr import read_exr
 
 
@@ -149,9 +149,7 @@ def load_clips(root: Path, cache: Path | None = None, report=lambda line: None) 
     out = [clips[name] for name in names]
     if cache is not None and missing:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_suffix(f".{os.getpid()}")
-        torch.save(out, temporary)
-        temporary.replace(cache)
+        training.save_atomically(out, cache)
     return out
 
 

@@ -30,7 +30,7 @@ import evaluate_nss
 import nss
 import nss_data
 import train_nss
-from tosa_writer import write_atomically
+from files import write_atomically
 
 LIMIT = 60 << 20
 PICTURES = ("colour", "depth", "motion", "truth", "truth_motion")

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from files import write_atomically
+
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
 _MAX_PIXELS = 1 << 26
@@ -31,7 +33,8 @@ def write_png(path: Path | str, picture: np.ndarray) -> None:
     rows[:, 1:] = picture.reshape(height, 3 * width)
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     data = zlib.compress(rows.tobytes(), 9)
-    Path(path).write_bytes(
+    write_atomically(
+        Path(path),
         _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", data) + _chunk(b"IEND", b"")
     )
 

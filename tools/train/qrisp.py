@@ -8,14 +8,15 @@ gradients. `Int8Qrisp` is the integer network, bit for bit what TOSA defines; `b
 Conditioning: weights and biases of the first convolution and of the heads depend on the jitter of the frame. They are
 base + start(j) + sum of code_r(j) * basis_r; code is a perceptron 2-64-64-8 that is gone after training: `conv_at`
 gives the numbers for a jitter, and a weight set is those of one offset of the sequence. start(j) is fixed: the
-candidate begins as bilinear enlargement of the samples where they lie, alpha as their share by distance.
+candidate begins as bilinear enlargement of the samples where they lie, alpha as their share by distance. A network that
+`corrects` leaves that enlargement to the post pass, which has it in float, and its candidate is what is added to it.
 
 Quantization: input and warped history 1/255, zero point -128; ReLU results zero point -128, one range per tensor that
 all sets share, so that one requantization fits all; weights symmetric per output channel and set, [-127, 127];
 alpha by a table, scale 1/254, zero point -127; candidate and feature saturate in 0..1, each a tensor with a
-quantization of its own.
+quantization of its own; a correction in -128/255..127/255, zero point 0.
 Source: network notes, sections 2.2 to 2.5. Ours: the small perceptron in place of 7 layers of 2048, the start, the
-heads as three tensors, the saturation in place of a linear candidate and feature.
+heads as three tensors, the saturation in place of a linear candidate and feature, the correction.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ HEADS = ("alpha", "candidate", "feature")
 #: Kernels that the perceptron mixes, and its hidden width.
 RANK, HIDDEN = 8, 64
 INPUT_SCALE = (1.0 / 255.0, -128)
-OUTPUT_SCALES = {"alpha": (1.0 / 254.0, -127), "candidate": (1.0 / 255.0, -128), "feature": (1.0 / 255.0, -128)}
+ALPHA_SCALE, UNIT_SCALE, CORRECTION_SCALE = (1.0 / 254.0, -127), (1.0 / 255.0, -128), (1.0 / 255.0, 0)
 #: Render size whose output has 1920x1080 pixels, (rows, columns), is that of the .tosa files: 1080 / s, 1920 / s.
 OUTPUT = (1080, 1920)
 #: Share of a sample in the output pixel that it lies on, before training, and what distance takes off.
@@ -66,6 +67,11 @@ class Conv:
 def input_channels(scale: int) -> int:
     """Colour 3, nearness 1, jitter 2, warped colour 3 s^2, warped feature s^2."""
     return 6 + 4 * scale**2
+
+
+def output_scales(corrects: bool) -> dict[str, precisions.Scale]:
+    """What the codes of the heads mean."""
+    return {"alpha": ALPHA_SCALE, "candidate": CORRECTION_SCALE if corrects else UNIT_SCALE, "feature": UNIT_SCALE}
 
 
 def convs(size: str, scale: int) -> list[Conv]:
@@ -113,26 +119,28 @@ def nearest(offsets: list[Jitter], jitter: Jitter) -> int:
 # ---- float and quantization-aware -------------------------------------------------------------------------
 
 
-class _Unit(torch.autograd.Function):
-    """Saturates in 0..1, in steps of 1/255 if asked; the gradient passes, so that nothing stays stuck outside."""
+class _Saturated(torch.autograd.Function):
+    """Saturates in the range of int8 codes, in their steps if asked; the gradient passes, so that nothing stays stuck outside."""
 
     @staticmethod
-    def forward(ctx, x, stepped):
-        x = x.clamp(0.0, 1.0)
-        return torch.floor(x * 255.0 + 0.5) / 255.0 if stepped else x
+    def forward(ctx, x, scale, stepped):
+        step, zero = scale
+        x = x.clamp(step * (-128 - zero), step * (127 - zero))
+        return torch.floor(x / step + 0.5) * step if stepped else x
 
     @staticmethod
     def backward(ctx, gradient):
-        return gradient, None
+        return gradient, None, None
 
 
 class Qrisp(nn.Module):
     """Float network. conditioned: whether the weights depend on the jitter; ranges: tensor -> (low, high), empty while
-    training in float; half: whether all but the heads run in bfloat16."""
+    training in float; half: whether all but the heads run in bfloat16; corrects: whether the candidate is a correction."""
 
-    def __init__(self, size: str, scale: int, conditioned: bool = True):
+    def __init__(self, size: str, scale: int, conditioned: bool = True, corrects: bool = False):
         super().__init__()
-        self.size, self.scale, self.conditioned = size, scale, conditioned
+        self.size, self.scale, self.conditioned, self.corrects = size, scale, conditioned, corrects
+        self.outputs = output_scales(corrects)
         self.nodes = convs(size, scale)
         self.convs = nn.ModuleDict({c.name: nn.Conv2d(c.inputs, c.outputs, 3, padding=1) for c in self.nodes})
         self.code = nn.Sequential(nn.Linear(2, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(),
@@ -146,6 +154,13 @@ class Qrisp(nn.Module):
         self.observed: dict[str, list[tuple[float, float]]] | None = None
         self.half = False
         _initialise(self)
+
+    def correct_nothing(self) -> None:
+        """The candidate becomes 0 in every frame."""
+        with torch.no_grad():
+            for name, kernel in [*self.convs["candidate"].named_parameters(), *self.basis.items()]:
+                if name in ("weight", "bias") or name.startswith("candidate_"):
+                    kernel.zero_()
 
     def weights_at(self, name: str, jitter: Jitter) -> tuple[torch.Tensor, torch.Tensor]:
         """Weight and bias of a convolution in a frame with this jitter."""
@@ -166,7 +181,7 @@ class Qrisp(nn.Module):
         return SimpleNamespace(weight=weight.detach(), bias=bias.detach())
 
     def forward(self, x: torch.Tensor, jitter: Jitter) -> dict[str, torch.Tensor]:
-        """Heads by name, in 0..1, at input size."""
+        """Heads by name, at input size: in 0..1, a correction in -128/255..127/255."""
         fake = bool(self.ranges)
         if fake:
             x = torch.fake_quantize_per_tensor_affine(x, *INPUT_SCALE, -128, 127)
@@ -179,7 +194,7 @@ class Qrisp(nn.Module):
                                                                 0, -127, 127)
             y = training.convolve(values[node.source], weight, bias, self.half and node.name not in HEADS)
             if node.act == "unit":
-                y = _Unit.apply(y, fake)
+                y = _Saturated.apply(y, self.outputs[node.name], fake)
             elif fake:
                 y = self._faked(node, y)
             else:
@@ -194,7 +209,7 @@ class Qrisp(nn.Module):
             return torch.fake_quantize_per_tensor_affine(y, self.ranges[node.name][1] / 255.0, -128, -128, 127)
         scale, zero = nss.logit_parameters(*self.ranges[node.name])
         y = torch.sigmoid(torch.fake_quantize_per_tensor_affine(y, scale, zero, -128, 127))
-        return torch.fake_quantize_per_tensor_affine(y, *OUTPUT_SCALES["alpha"], -127, 127)
+        return torch.fake_quantize_per_tensor_affine(y, *ALPHA_SCALE, -127, 127)
 
     def _observe(self, name: str, y: torch.Tensor) -> None:
         if self.observed is not None:
@@ -226,7 +241,7 @@ def _start(model: Qrisp, name: str, jitter: Jitter):
     s = model.scale
     away = [[(p + 0.5) / s - 0.5 - j for p in range(s)] for j in jitter]  # x, y
     conv = model.convs[name]
-    if name == "feature":
+    if name == "feature" or (name == "candidate" and model.corrects):
         return 0.0, 0.0
     if name == "alpha":
         near = [[d - math.floor(d + 0.5) for d in axis] for axis in away]
@@ -329,7 +344,7 @@ def build_real_graph(model: Qrisp, offset: Jitter, rows: int, columns: int, dtyp
             values[node.name] = precisions.relu(graph, node.name, x)
             continue
         x = graph.sigmoid(f"{node.name}/real", x) if node.act == "sigmoid" else x
-        values[node.name] = precisions.real_output(graph, node.name, x, OUTPUT_SCALES[node.name])
+        values[node.name] = precisions.real_output(graph, node.name, x, model.outputs[node.name])
     for name in HEADS:
         graph.output(values[name])
     return graph
@@ -350,7 +365,7 @@ def build_short_graph(model: Qrisp, offset: Jitter, rows: int, columns: int) -> 
         if node.act == "relu":
             x = precisions.relu(graph, node.name, x)
         elif node.act == "sigmoid":
-            x = precisions.short_sigmoid(graph, node.name, x, nss.SHORT_LOGIT_SCALE, OUTPUT_SCALES["alpha"])
+            x = precisions.short_sigmoid(graph, node.name, x, nss.SHORT_LOGIT_SCALE, ALPHA_SCALE)
         values[node.name] = x
     for name in HEADS:
         graph.output(values[name])
@@ -361,7 +376,7 @@ def code_scales(model: Qrisp) -> dict[str, precisions.Scale]:
     """Scale and zero point of every tensor of the INT8 form. Errors: ValueError when there are no ranges."""
     if not model.ranges:
         raise ValueError("the model has no activation ranges yet")
-    scales = {"input": INPUT_SCALE, **OUTPUT_SCALES}
+    scales = {"input": INPUT_SCALE, **model.outputs}
     for node in model.nodes:
         if node.act == "relu":
             scales[node.name] = (model.ranges[node.name][1] / 255.0, -128)
@@ -379,7 +394,7 @@ def short_scales(model: Qrisp) -> dict[str, precisions.Scale]:
 
 def tensor_scales(model: Qrisp) -> dict[str, dict[str, precisions.Scale]]:
     """For quantization.json."""
-    ends = {"input": INPUT_SCALE, **OUTPUT_SCALES}
+    ends = {"input": INPUT_SCALE, **model.outputs}
     return {"int8": code_scales(model), "int16": short_scales(model), "fp32": ends, "fp16": ends}
 
 
@@ -388,7 +403,8 @@ def tensor_scales(model: Qrisp) -> dict[str, dict[str, precisions.Scale]]:
 
 def describe(model: Qrisp) -> dict:
     """What a record holds to make the network again."""
-    return {"size": model.size, "scale": model.scale, "conditioned": model.conditioned}
+    return {"size": model.size, "scale": model.scale, "conditioned": model.conditioned,
+            **({"corrects": True} if model.corrects else {})}
 
 
 def save_weights(path, model: Qrisp, record: dict) -> None:
@@ -398,4 +414,8 @@ def save_weights(path, model: Qrisp, record: dict) -> None:
 
 def load_model(path) -> tuple[Qrisp, dict]:
     """Model and record from a .npz or an own checkpoint (a pickle). Errors: ValueError, OSError."""
-    return training.load_model(path, "a QRISP", lambda record: Qrisp(record["size"], record["scale"], record["conditioned"]), lambda r: (float(r[0]), float(r[1])))
+
+    def make(record: dict) -> Qrisp:
+        return Qrisp(record["size"], record["scale"], record["conditioned"], record.get("corrects", False))
+
+    return training.load_model(path, "a QRISP", make, lambda r: (float(r[0]), float(r[1])))

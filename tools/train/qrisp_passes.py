@@ -19,6 +19,7 @@ Conventions, the same in the shaders:
   steps evenly in powers of the distance; jitter + 0.5 (x, y); warped colour c s^2 + dy s + dx; warped feature.
   Padded to even sides, whose last column and row show the one before.
 - Without a past: warped colour and feature 0, and the candidate alone is the result.
+- With Options.corrects the candidate is added to the frame, enlarged bilinearly from its samples where they lie, clamped to 0..1.
 - Feature: one channel at output size in 0..1, kept in steps of 1/255 as the network gives it.
 Gradients: through network outputs, warped colours and features; everything else is constant.
 """
@@ -39,11 +40,17 @@ NO_OVERSHOOT = 0.875 ** 0.5  # displayed, of an exposed 7: above it a result sta
 
 @dataclass(frozen=True)
 class Options:
-    """What an ablation leaves out, and how the history is read."""
+    """What an ablation leaves out, how the history is read, and what a candidate is."""
 
     dilation: bool = True
     blending: bool = True
     cubic: bool = False
+    corrects: bool = False
+
+    @staticmethod
+    def of(record: dict) -> Options:
+        """Those that the weights with this record were trained with."""
+        return Options(**{name: record.get(name, field.default) for name, field in Options.__dataclass_fields__.items()})
 
 
 @dataclass
@@ -134,15 +141,25 @@ def pre(frame: Frame, state: State | None, scale: int, options: Options = Option
     return Pre(tensor, past[:, :3], motion)
 
 
+def enlarged(frame: Frame, colour: torch.Tensor, scale: int) -> torch.Tensor:
+    """`[n, 3, H, W]`, bilinear between the samples of a frame where they lie; their colours are `[n, 3, h, w]`."""
+    w, h = frame.size
+    uv = nss_passes.uv_grid(w * scale, h * scale, colour) - nss_passes._jitter_uv(frame, frame.jitter)
+    return nss_passes.bilinear(colour, uv.expand(len(colour), -1, -1, -1))
+
+
 def post(frame: Frame, before: Pre, outputs: dict[str, torch.Tensor], state: State | None, scale: int,
          options: Options = Options()) -> State:
-    """What is shown, as `State.colour`, and the feature, from the heads in 0..1."""
+    """What is shown, as `State.colour`, and the feature, from the heads."""
     w, h = frame.size
     alpha, candidate, feature = (F.pixel_shuffle(outputs[name][:, :, :h, :w], scale)
                                  for name in ("alpha", "candidate", "feature"))
+    colour = displayed(frame.colour * frame.exposure)
+    if options.corrects:
+        candidate = (enlarged(frame, colour, scale) + candidate).clamp(0.0, 1.0)
     if state is not None and options.blending:
         candidate = before.warped + alpha * (candidate - before.warped)
-    taps = F.max_pool2d(displayed(frame.colour * frame.exposure), 3, 1, 1)
+    taps = F.max_pool2d(colour, 3, 1, 1)
     brightest = torch.maximum(_enlarged(taps, scale, h * scale, w * scale), before.warped).clamp(min=NO_OVERSHOOT)
     return State(torch.minimum(candidate, brightest), feature)
 

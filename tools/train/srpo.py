@@ -10,12 +10,12 @@ Source: SRPO (ECCV 2022); Lanczos support, border rules and offset units are our
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+import training
 
 PARAMETERS = 8434
 FEATURES = 16
@@ -260,27 +260,9 @@ def float_offsets(model: Srpo, lr: np.ndarray) -> np.ndarray:
 
 def save_weights(path, model: Srpo, record: dict) -> None:
     """Weights and training record as .npz; the same model gives the same bytes."""
-    arrays = {name: value.numpy() for name, value in model.state_dict().items()}
-    np.savez(path, record=np.frombuffer(json.dumps(record, sort_keys=True).encode(), np.uint8), **arrays)
+    training.save_model(path, model, record)
 
 
 def load_model(path) -> tuple[Srpo, dict]:
-    """Model and its training record from a .npz or a checkpoint of your own (checkpoints are pickles).
-
-    Errors: ValueError, OSError.
-    """
-    try:
-        if str(path).endswith(".npz"):
-            with np.load(path, allow_pickle=False) as arrays:
-                record = json.loads(arrays["record"].tobytes())
-                weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
-        else:
-            state = torch.load(path, map_location="cpu", weights_only=False)
-            record, weights = state["record"], state["model"]
-        model = Srpo(int(record["scale"]))
-        model.load_state_dict(weights)
-    except OSError:
-        raise
-    except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
-        raise ValueError(f"{path}: not weights of this network ({type(error).__name__})") from None
-    return model.eval(), record
+    """Model and record from a .npz or an own checkpoint (a pickle). Errors: ValueError, OSError."""
+    return training.load_model(path, "an SRPO", lambda record: Srpo(int(record["scale"])), None)

@@ -8,9 +8,7 @@ Source: TOSA 1.0, serialization schema (ir/schema/tosa.fbs) and operator definit
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import flatbuffers
 import numpy as np
@@ -445,10 +443,3 @@ class _Packer:
             b.PrependInt32Slot(slot, value, -1)
         b.PrependBoolSlot(3, False, True)
         return b.EndObject()
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Writes beside `path` and renames, so that readers never see half a file."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)

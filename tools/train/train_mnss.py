@@ -28,9 +28,9 @@ import torch
 import mnss
 import mnss_passes as passes
 import nss_data
+import training
 from srpo import ssim_loss
 from train_nss import learning_rate
-import training
 
 CALIBRATION_SEQUENCES = 6
 

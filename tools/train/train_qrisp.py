@@ -8,7 +8,8 @@ activation ranges are measured first, unless the weights have theirs, and then h
 faked. --sets N takes the weights of the nearest of N offsets, as frames do that hold N sets; else those of the exact
 jitter. Sequences are a function of (seed, step), so a resumed run continues with the same bits, given the same machine
 and thread count. --no-dilation, --no-blending and --no-jitter leave a part out, for ablations; of them --no-jitter alone
-changes what is exported, as --cubic does.
+changes what is exported, as --cubic and --corrects do. Weights that do not correct can begin a run that does: its
+candidate begins at no correction.
 Source: network notes 2.5. Ours: fewer, smaller crops, the rate, the display curve.
 
 Examples:
@@ -34,7 +35,7 @@ import training
 CALIBRATION_SEQUENCES = 8
 #: What a resumed run has to be asked for again.
 RECIPE = ("size", "scale", "steps", "batch", "crop", "frames", "chunk", "seed", "lr", "qat", "dilation", "blending",
-          "jitter", "sets", "half", "minutes", "hold", "cubic")
+          "jitter", "sets", "half", "minutes", "hold", "cubic", "corrects")
 
 
 class Rollout:
@@ -72,7 +73,7 @@ def rollout_of(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse
     """The crops of a step."""
     rng = np.random.default_rng([options.seed, *seed])
     sequence = nss_data.draw(clips, rng, options.batch, options.crop, options.frames)
-    return Rollout(model, sequence, passes.Options(options.dilation, options.blending, options.cubic), options.sets)
+    return Rollout(model, sequence, passes.Options.of(vars(options)), options.sets)
 
 
 def calibrate(model: qrisp.Qrisp, clips: list[nss_data.Clip], options: argparse.Namespace) -> None:
@@ -96,7 +97,7 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         raise ValueError(f"{options.data}: no clip has the ratio {options.scale}")
     torch.manual_seed(options.seed)
     torch.set_num_threads(options.threads)
-    model = qrisp.Qrisp(options.size, options.scale, options.jitter)
+    model = qrisp.Qrisp(options.size, options.scale, options.jitter, options.corrects)
     model.half = options.half
     optimizer = torch.optim.Adam(model.parameters(), lr=options.lr)
     record = {key: getattr(options, key) for key in RECIPE}
@@ -113,12 +114,15 @@ def train(options: argparse.Namespace, clips: list[nss_data.Clip], report=print,
         model.ranges, record, start = state["ranges"], state["record"], state["step"]
     elif options.init:
         first, earlier = qrisp.load_model(options.init)
-        if qrisp.describe(first) != qrisp.describe(model):
+        begins = options.corrects and not first.corrects
+        if qrisp.describe(first) | ({"corrects": True} if begins else {}) != qrisp.describe(model):
             raise ValueError(f"{options.init}: is {qrisp.describe(first)}, the run asks {qrisp.describe(model)}")
         model.load_state_dict(first.state_dict())
+        if begins:
+            model.correct_nothing()
         with torch.no_grad():
             model.convs["alpha"].bias -= options.hold
-        if options.qat:  # as in train_mnss.py
+        if options.qat and not begins:  # as in train_mnss.py
             model.ranges = first.ranges
         record["earlier"] = training.earlier_records(earlier)
     if options.qat and not model.ranges:
@@ -144,6 +148,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--no-jitter", dest="jitter", action="store_false", help="one weight set for all offsets")
     parser.add_argument("--init", type=Path, help="checkpoint or weights of the same network to start from")
     parser.add_argument("--cubic", action="store_true", help="the history is read by Catmull-Rom, not bilinear")
+    parser.add_argument("--corrects", action="store_true", help="the candidate is what is added to the enlarged frame")
     parser.add_argument("--hold", type=float, default=0.0,
                         help="begin with alpha lower by this much before its sigmoid, so that the history counts for more; "
                         "needs --init (default: 0)")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import signal
 import sys
 import time
@@ -19,14 +18,13 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from tosa_writer import write_atomically
+from files import atomic, write_atomically
 
 
-def save_atomically(state: dict, path: Path) -> None:
-    """Writes a temporary file and renames it, so that `path` is always a whole checkpoint."""
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+def save_atomically(state, path: Path) -> None:
+    """Writes a pickle, so that `path` is always a whole one."""
+    with atomic(path) as file:
+        torch.save(state, file)
 
 
 def load_checkpoint(path: Path) -> dict:
@@ -134,29 +132,36 @@ def convolve(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, half: bo
 def save_model(path, model: torch.nn.Module, record: dict) -> None:
     """Weights, ranges and record as .npz; the same model gives the same bytes."""
     arrays = {name: value.cpu().numpy() for name, value in model.state_dict().items()}
-    text = json.dumps({**record, "ranges": model.ranges}, sort_keys=True)
-    np.savez(path, record=np.frombuffer(text.encode(), np.uint8), **arrays)
+    ranges = {"ranges": model.ranges} if hasattr(model, "ranges") else {}
+    text = json.dumps({**record, **ranges}, sort_keys=True)
+    with atomic(Path(path)) as file:
+        np.savez(file, record=np.frombuffer(text.encode(), np.uint8), **arrays)
 
 
 def load_model(path, kind: str, make, as_range):
     """Model and record from a .npz or an own checkpoint (a pickle): `make(record)` is the model without weights,
-    `as_range` makes a range of what a file holds, `kind` is for messages. Errors: ValueError, OSError."""
+    `as_range` makes a range of what a file holds, None for models without ranges, `kind` is for messages. Errors: ValueError, OSError."""
     try:
         if str(path).endswith(".npz"):
             with np.load(path, allow_pickle=False) as arrays:
                 record = json.loads(arrays["record"].tobytes())
                 weights = {name: torch.from_numpy(arrays[name]) for name in arrays.files if name != "record"}
-            ranges = record.pop("ranges")
+            ranges = record.pop("ranges") if as_range else {}
         else:
             state = torch.load(path, map_location="cpu", weights_only=False)
-            record, weights, ranges = state["record"], state["model"], state["ranges"]
+            record, weights, ranges = state["record"], state["model"], state["ranges"] if as_range else {}
         model = make(record)
         model.load_state_dict(weights)
-        model.ranges = {name: as_range(value) for name, value in ranges.items()}
+        if as_range:
+            model.ranges = {name: as_range(value) for name, value in ranges.items()}
     except OSError:
         raise
     except Exception as error:  # numpy, json, zipfile and torch each raise their own kinds
         raise ValueError(f"{path}: not weights of {kind} network ({type(error).__name__})") from None
+    numbers = weights | {f"range of {name}": torch.tensor(as_range(value)) for name, value in ranges.items()}
+    for name, value in numbers.items():
+        if not torch.isfinite(value).all():
+            raise ValueError(f"{path}: {name} holds a value that is not finite")
     return model.eval(), record
 
 

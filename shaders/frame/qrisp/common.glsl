@@ -23,3 +23,8 @@ vec3 linear(vec3 y) {
 
 /// Depth as the host gives it; NaN counts as the farthest.
 float finite_depth(float depth) { return finite_in(depth, 0.0, 1.0, params.reverse_depth != 0 ? 0.0 : 1.0); }
+
+/// Jitter as the host gives it, in render pixels; NaN counts as none.
+vec2 finite_jitter() {
+  return vec2(finite_in(params.jitter.x, -0.5, 0.5, 0.0), finite_in(params.jitter.y, -0.5, 0.5, 0.0));
+}

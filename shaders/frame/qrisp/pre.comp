@@ -32,8 +32,8 @@ void main() {
     codes[first + 1] = code(color.g);
     codes[first + 2] = code(color.b);
     codes[first + 3] = code(sqrt(sqrt(params.reverse_depth != 0 ? depth : 1.0 - depth)));
-    codes[first + 4] = code(finite_in(params.jitter.x, -0.5, 0.5, 0.0) + 0.5);
-    codes[first + 5] = code(finite_in(params.jitter.y, -0.5, 0.5, 0.0) + 0.5);
+    codes[first + 4] = code(finite_jitter().x + 0.5);
+    codes[first + 5] = code(finite_jitter().y + 0.5);
     [[unroll]] for (int phase = 0; phase < kPhases; ++phase) {
       const ivec2 pixel = at * kScale + ivec2(phase % kScale, phase / kScale);
       const vec2 uv = (vec2(pixel) + 0.5) / vec2(kOutput) - xy_of(fetch_moved(pixel / kBlock));

@@ -31,10 +31,10 @@ TABLE = {(row["id"].split("_")[2], row["scale"]): (row["params"], row["computed"
          for row in ROWS if row["id"].startswith("qrisp_ours_")}
 
 
-def network(size: str, scale: int, conditioned: bool = True) -> qrisp.Qrisp:
+def network(size: str, scale: int, conditioned: bool = True, corrects: bool = False) -> qrisp.Qrisp:
     """Random weights, every kernel of the sets included, with ranges."""
     torch.manual_seed(5)
-    model = qrisp.Qrisp(size, scale, conditioned).eval()
+    model = qrisp.Qrisp(size, scale, conditioned, corrects).eval()
     with torch.no_grad():
         for name in qrisp.HEADS:
             model.convs[name].weight.mul_(8.0)
@@ -109,8 +109,8 @@ class Sets(unittest.TestCase):
 class Integer(unittest.TestCase):
     def test_integer_network_equals_the_definition_and_the_faked_one(self):
         offsets = qrisp.jitter_sequence(2)
-        for size, scale in (("s", 2), ("m", 3), ("s", 4)):
-            model, codes = network(size, scale), picture_codes(scale, 10, 13)
+        for size, scale, corrects in (("s", 2, False), ("m", 3, True), ("s", 4, False)):
+            model, codes = network(size, scale, corrects=corrects), picture_codes(scale, 10, 13)
             exact = qrisp.to_int8(model, offsets)
             for which, offset in enumerate(offsets):
                 values = {"input": codes[0].numpy().astype(np.int64)}
@@ -120,7 +120,7 @@ class Integer(unittest.TestCase):
                 found = exact.run(codes, which)
                 with torch.no_grad():
                     faked = model((codes.permute(0, 3, 1, 2).float() + 128) / 255, offset)
-                for name, (step, zero) in qrisp.OUTPUT_SCALES.items():
+                for name, (step, zero) in model.outputs.items():
                     np.testing.assert_array_equal(found[name][0].numpy(), values[name])
                     self.assertGreater(len(found[name].unique()), 20)
                     error = (found[name].float() - zero) * step - faked[name].permute(0, 2, 3, 1)
@@ -148,6 +148,14 @@ class Integer(unittest.TestCase):
             self.assertEqual((record["seed"], again.scale, again.ranges), (5, 3, model.ranges))
             self.assertTrue(all(torch.equal(a, b) for a, b in zip(model.state_dict().values(),
                                                                   again.state_dict().values())))
+            for damage, name in ((lambda: model.convs["first"].bias.fill_(torch.nan), "convs.first.bias"),
+                                 (lambda: model.ranges.update(first=(0.0, float("inf"))), "range of first")):
+                model = network("s", 3)
+                with torch.no_grad():
+                    damage()
+                qrisp.save_weights(path, model, {})
+                with self.assertRaisesRegex(ValueError, f"{name} holds a value that is not finite"):
+                    qrisp.load_model(path)
             path.write_bytes(b"none")
             with self.assertRaisesRegex(ValueError, "not weights of a QRISP network"):
                 qrisp.load_model(path)
@@ -229,7 +237,7 @@ class Training(unittest.TestCase):
         clips = [make_clip(k) for k in range(2)]
         kept, train_qrisp.CALIBRATION_SEQUENCES = train_qrisp.CALIBRATION_SEQUENCES, 1
         try:
-            for more in ([], ["--no-jitter", "--no-blending", "--no-dilation"], ["--half"], ["--qat"]):
+            for more in ([], ["--no-jitter", "--no-blending", "--no-dilation"], ["--half"], ["--qat"], ["--qat", "--corrects"]):
                 with tempfile.TemporaryDirectory() as folder:
                     if "--qat" in more:
                         qrisp.save_weights(Path(folder) / "first.npz", qrisp.Qrisp("s", 2), {})

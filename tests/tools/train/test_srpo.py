@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -20,6 +21,7 @@ sys.path.insert(0, str(ROOT / "tools" / "train"))
 
 import evaluate_srpo  # noqa: E402
 import export_srpo  # noqa: E402
+import files  # noqa: E402
 import png  # noqa: E402
 import quantize  # noqa: E402
 import shapes  # noqa: E402
@@ -118,6 +120,27 @@ class Shapes(unittest.TestCase):
                 path.write_bytes(damaged)
                 with self.assertRaises(ValueError):
                     png.read_png(path)
+
+
+class Files(unittest.TestCase):
+    def test_they_are_written_whole_or_not_at_all_and_never_replace_a_device_or_a_link(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path, link, pipe = (Path(folder) / name for name in ("file", "link", "pipe"))
+            files.write_atomically(path, b"one")
+            with self.assertRaises(KeyboardInterrupt), files.atomic(path) as file:
+                file.write(b"two")
+                raise KeyboardInterrupt
+            self.assertEqual(path.read_bytes(), b"one")
+            link.symlink_to(path)
+            files.write_atomically(link, b"three")
+            self.assertTrue(link.is_symlink())
+            self.assertEqual(path.read_bytes(), b"three")
+            os.mkfifo(pipe)
+            reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+            files.write_atomically(pipe, b"four")
+            self.assertEqual(os.read(reader, 9), b"four")
+            os.close(reader)
+            self.assertEqual(sorted(entry.name for entry in Path(folder).iterdir()), ["file", "link", "pipe"])
 
 
 class Picture(unittest.TestCase):
