@@ -72,13 +72,22 @@ def _picture(path: Path, names: tuple[str, ...], kind) -> np.ndarray:
     return np.stack(out)
 
 
+def _sequence(path: Path) -> dict:
+    """What a sequence's file holds. Errors: OSError, ValueError."""
+    try:
+        sequence = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path}: not a sequence description ({error})") from None
+    if not isinstance(sequence, dict) or not isinstance(sequence.get("UpscalingRatiosIndices", {}), dict):
+        raise ValueError(f"{path}: not a sequence description")
+    return sequence
+
+
 def ratio_folder(root: Path, name: str) -> str:
     """Folder of the rendered pictures of a clip. Errors: OSError, ValueError when there is none."""
     found = sorted(path.parent.parent.name for path in root.glob(f"x*/color/{name}"))
-    sequence = json.loads((root / f"{name}.json").read_text())
-    own = sequence.get("UpscalingRatiosIndices") if isinstance(sequence, dict) else None
+    own = {key.replace(".", "_") for key in _sequence(root / f"{name}.json").get("UpscalingRatiosIndices", {})}
     if own:  # pictures of other ratios were left by another clip of its name
-        own = [key.replace(".", "_") for key in own]
         found = [folder for folder in found if folder.replace(".", "_") + "_index" in own]
     if not found:
         raise ValueError(f"{root}: no pictures of clip {name} in x*/color/{name}, of a ratio that its file names")
@@ -88,8 +97,8 @@ def ratio_folder(root: Path, name: str) -> str:
 def load_cameras(path: Path, first: int = 0, count: int | None = None) -> tuple[list[list[float]], list[float], bool, list[dict]]:
     """Of the frames of a sequence: `nss_passes.camera_vector` and exposure, whether depth is reversed, and what the file says of
     each frame. Errors: OSError, ValueError."""
+    sequence = _sequence(path)
     try:
-        sequence = json.loads(path.read_text())
         frames = sequence["Frames"]
         frames = frames[first : None if count is None else first + count]
         exposure = [float(f.get("Exposure", DEFAULT_EXPOSURE)) for f in frames]

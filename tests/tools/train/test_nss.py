@@ -816,6 +816,10 @@ class Files(unittest.TestCase):
                 nss_data.load_clip(root, "0000")
             (root / "x3/color/0000").mkdir(parents=True)
             self.assertEqual(nss_data.ratio_folder(root, "0000"), "x3")
+            for broken in ("{", "[]", '{"UpscalingRatiosIndices": 3}', '{"UpscalingRatiosIndices": null}'):
+                (root / "0000.json").write_text(broken)
+                with self.assertRaisesRegex(ValueError, "0000.json: not a sequence description"):
+                    nss_data.load_clip(root, "0000")
 
 
 if __name__ == "__main__":
